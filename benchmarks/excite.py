@@ -27,10 +27,10 @@ from threadpoolctl import threadpool_limits
 from benchmarks.excite_peers.pivoted import pivoted_base
 from benchmarks.excite_peers.slsqp import Slsqp
 from hil.dynamics import CollisionModel, Environment, RobotModel, conditioning
-from hil.excitation.optimise import ExcitationProblem, optimise
-from hil.excitation.optimise.draw import within_linear_limits
-from hil.excitation.optimise.linear_limits import LinearLimits
-from hil.excitation.optimise.margins import margins_of
+from hil.excitation.optimiser import ExcitationProblem, optimise
+from hil.excitation.optimiser.draw import within_linear_limits
+from hil.excitation.optimiser.linear_limits import LinearLimits
+from hil.excitation.optimiser.margins import margins_of
 
 ARM = "ur5"
 SPEED, ACCELERATION = 2.0, 6.0

@@ -659,7 +659,7 @@ def try_out(
     from hil.estimators.model_file import json_bytes
     from hil.export.exported import require_new, write_folder
     from hil.report.render import page_html
-    from hil.report.trial_page import REPORT_FILE, trial_page
+    from hil.report.try_out_page import REPORT_FILE, trial_page
 
     folder = _path(out)
     require_new(folder)

@@ -15,7 +15,7 @@ from hil.excitation.cache import ExcitationCache
 from hil.excitation.coefficients import fitting_frequency
 from hil.excitation.fourier import FourierExcitation
 from hil.excitation.motion import FourierSeries
-from hil.excitation.optimise import ExcitationProblem
+from hil.excitation.optimiser import ExcitationProblem
 from hil.excitation.poses import roomy_poses
 from hil.excitation.question import Question
 from hil.excitation.roadmap import Roadmap
@@ -100,7 +100,7 @@ def asked(number: int = 1, **optimise: Any) -> Fourier:
 @pytest.fixture
 def finder(monkeypatch: pytest.MonkeyPatch) -> Finder:
     finder = Finder()
-    monkeypatch.setattr("hil.excitation.optimise.optimise", finder)
+    monkeypatch.setattr("hil.excitation.optimiser.optimise", finder)
     return finder
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.data.arrival import POINTS
+from hil.data.approach_path import POINTS
 from hil.data.dataset import Conditions, Dataset
 from hil.dynamics import RobotModel, load_model
 

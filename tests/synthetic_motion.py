@@ -10,7 +10,7 @@ import numpy as np
 from hil.arms.payload import Payload
 from hil.core.typing import FloatArray
 from hil.data import Conditions, Dataset
-from hil.data.arrival import POINTS, STEP_S
+from hil.data.approach_path import POINTS, STEP_S
 from hil.dynamics import RobotModel, load_model
 
 GAINS = np.array([10.0, 11.0, 9.0, 8.0, 7.0, 6.0])

@@ -11,7 +11,7 @@ import pytest
 
 import hil
 from hil.core.errors import DataError
-from hil.evaluation.hold_out import hold_out
+from hil.evaluation.holdout import hold_out
 from hil.importers.load import load_source
 from hil.recording.reader import read_topic
 from hil.recording.rundir import RunDirectory

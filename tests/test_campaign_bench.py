@@ -18,9 +18,9 @@ from hil.core.errors import RobotConnectionError, SpecError
 from hil.core.live_lock import hold_run
 from hil.robot import Capabilities
 from hil.robot.lease import leased
-from hil.workflow import bench as bench_module
-from hil.workflow.bench import bench
+from hil.workflow import robot_status as bench_module
 from hil.workflow.live_state import LiveState
+from hil.workflow.robot_status import bench
 
 STATION = """\
 hil_station: 1

@@ -13,7 +13,7 @@ from hil.core.errors import DataError
 from hil.core.live_lock import hold_run
 from hil.engine.live.log_words import words_of
 from hil.recording.rundir import RunDirectory
-from hil.workflow.follow import EventTail, follow, how_it_ended, newest_live, only_live
+from hil.workflow.following import EventTail, follow, how_it_ended, newest_live, only_live
 from hil.workflow.live_state import LiveState
 
 

@@ -11,7 +11,7 @@ from synthetic_motion import dataset
 from hil.arms.payload import Payload
 from hil.core.errors import DataError
 from hil.data import Conditions, Dataset
-from hil.evaluation.hold_out import NEW_LOAD, NEW_MOTION, assert_new_pairs, hold_out
+from hil.evaluation.holdout import NEW_LOAD, NEW_MOTION, assert_new_pairs, hold_out
 from hil.spec.experiment import HoldOut
 
 

@@ -13,7 +13,7 @@ from weighing_parts import CYLINDER, Mounted, Scales, bodies, sweep
 from hil.arms.payload import Payload
 from hil.core.errors import PreflightFailed
 from hil.planning.plan import Plan
-from hil.planning.preview import preview
+from hil.planning.plan_preview import preview
 from hil.robot import Status
 
 GAINS = (10.0, 12.0, 9.0, 8.0, 8.5, 7.5)

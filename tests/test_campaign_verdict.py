@@ -13,7 +13,7 @@ from report_runs import dwell_plan, write_run
 from hil.core import plugins
 from hil.core.errors import DataError, FitError
 from hil.estimators.static import StaticWls
-from hil.evaluation.verdict_document import verdict_word
+from hil.evaluation.run_verdict import verdict_word
 from hil.recording.rundir import RunDirectory
 from hil.report import render_report
 from hil.report.text import summary_lines

@@ -8,7 +8,7 @@ from synthetic_motion import arriving, moving
 
 from hil.core.errors import DataError
 from hil.data import Conditions, Dataset
-from hil.data.arrival import NEAR_RAD, POINTS, QD, Q, Track, arrival, directions
+from hil.data.approach_path import NEAR_RAD, POINTS, QD, Q, Track, arrival, directions
 from hil.data.dataset import rows_of
 from hil.data.dwells import dwells_of
 from hil.data.splits import split

@@ -9,8 +9,8 @@ import pytest
 
 from hil.data import Dataset
 from hil.dynamics import load_model
-from hil.estimators.controller_gains import controller_gains
-from hil.estimators.payload_halves import payload_halves
+from hil.estimators.gains_without_load import controller_gains
+from hil.estimators.payload_cross_validation import payload_halves
 from hil.estimators.rigid import RigidWls
 from hil.estimators.rigid_hysteresis import RigidHysteresis
 from hil.importers import import_file

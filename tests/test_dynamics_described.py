@@ -9,7 +9,7 @@ import pytest
 
 from hil.arms import load_arm
 from hil.core.errors import SpecError
-from hil.dynamics.described import described
+from hil.dynamics.dh_from_urdf import described
 from hil.dynamics.robot_model import RobotModel, load_model
 from hil.planning.custom_arm import own_arm_drafts
 from hil.planning.place import plannable_arm

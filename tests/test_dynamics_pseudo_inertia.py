@@ -9,7 +9,7 @@ import pytest
 from hil.core.errors import FitError
 from hil.core.typing import FloatArray
 from hil.dynamics.inertial import body_parameters, transfer_matrix
-from hil.dynamics.pseudo_inertia import (
+from hil.dynamics.physical_consistency import (
     coordinate_jacobian,
     divergence,
     from_coordinates,

@@ -11,9 +11,9 @@ import pytest
 from export_c_folders import fitted, written
 
 from hil.export.c_build import compiler
-from hil.export.closeness import DOUBLE, SINGLE, closeness, precision
 from hil.export.golden import golden_of
 from hil.export.reading import program_of
+from hil.export.tolerances import DOUBLE, SINGLE, closeness, precision
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 

@@ -15,10 +15,10 @@ from hil.arms.payload import Payload
 from hil.core.errors import DataError, FitError, SpecError
 from hil.data import Conditions, Dataset
 from hil.dynamics import payload_parameters
-from hil.dynamics.pseudo_inertia import is_consistent, pseudo_inertia
+from hil.dynamics.physical_consistency import is_consistent, pseudo_inertia
 from hil.estimators.load_body import central, central_jacobian, nearest_body, payload_of
+from hil.estimators.payload_cross_validation import payload_halves
 from hil.estimators.payload_fit import estimate_payload, true_values
-from hil.estimators.payload_halves import payload_halves
 from hil.estimators.payload_problem import with_identified
 from hil.estimators.rigid import RigidWls
 

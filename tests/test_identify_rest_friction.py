@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from synthetic_motion import arrivals_of
 
-from hil.data.arrival import POINTS, QD, Q
+from hil.data.approach_path import POINTS, QD, Q
 from hil.estimators.rest_friction import (
     Rest,
     correction_features,

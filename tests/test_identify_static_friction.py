@@ -17,7 +17,7 @@ from synthetic_motion import (
 
 from hil.core.errors import DataError, FitError, SpecError
 from hil.data import Dataset
-from hil.data.arrival import Q
+from hil.data.approach_path import Q
 from hil.data.dwells import series_means
 from hil.data.splits import split
 from hil.estimators import estimator, load_model_file, save_model

@@ -20,8 +20,8 @@ from hil.planning.build import build_plan
 from hil.planning.commissioning import Commissioning, commissioning_of
 from hil.planning.plan import LoadStep, Plan, Step
 from hil.planning.plan_file import read_plan
-from hil.planning.preview import preview
-from hil.planning.swept import swept
+from hil.planning.plan_preview import preview
+from hil.planning.swept_space import swept
 from hil.recording.reader import read_topic
 
 RATE_HZ = 125.0

@@ -13,9 +13,9 @@ from plan_parts import plan_of
 from hil.arms.payload import Payload
 from hil.excitation.motion import Hold, Line
 from hil.planning.plan import DwellRule, LoadStep, Plan, Step
-from hil.planning.preview import preview
+from hil.planning.plan_preview import preview
 from hil.recording.writer import McapWriter
-from hil.report.plan_picture import plan_picture
+from hil.report.plan_figure import plan_picture
 from hil.report.svg import Scale, thinned
 from hil.robot.topic import state_topic
 

@@ -12,7 +12,7 @@ from hil.dynamics import load_model
 from hil.dynamics.build import model_from_arm
 from hil.excitation.motion import Hold, Line
 from hil.planning.plan import LoadStep, Plan, Step
-from hil.planning.swept import elbow_bodies, swept
+from hil.planning.swept_space import elbow_bodies, swept
 
 RATE_HZ = 125.0
 HERE = (0.0, -1.2, 1.0, -1.5, 0.2, 0.0)

@@ -16,7 +16,7 @@ from hil.arms.payload import Payload
 from hil.dynamics import CollisionModel, Environment, RobotModel
 from hil.dynamics.environment import payload_capsule
 from hil.planning.plan import Plan, Step
-from hil.planning.preview import preview
+from hil.planning.plan_preview import preview
 from hil.planning.weighing import why_not_weighed, why_plan_not_weighed
 from hil.robot import Capabilities
 

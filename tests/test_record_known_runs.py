@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from hil.core.live_lock import hold_run
-from hil.runs import known_runs as module
-from hil.runs.known_runs import KnownRuns
+from hil.runs import run_folders as module
+from hil.runs.run_folders import KnownRuns
 
 
 def made(root: Path, name: str = "0001-a", started_as: str = "") -> Path:

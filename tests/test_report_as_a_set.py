@@ -28,7 +28,7 @@ from hil.report.simulation_found import found
 from hil.report.simulation_page import _errors
 from hil.report.study_sections import study_sections
 from hil.report.traces import axes, line
-from hil.report.trial_page import trial_page
+from hil.report.try_out_page import trial_page
 from hil.spec.load import load_spec
 from hil.workflow.judging import judge_run
 

@@ -17,7 +17,7 @@ import pytest
 
 from hil.core.typing import FloatArray
 from hil.report import colours
-from hil.report.plan_picture_style import STYLE
+from hil.report.plan_figure_style import STYLE
 from hil.report.study_curves import PALETTE
 
 APART = 15.0

@@ -24,7 +24,7 @@ from hil.spec.experiment import Dwell, Fourier
 from hil.spec.schedule import is_schedule
 from hil.spec.series import is_series
 from hil.spec.station import StationRobot
-from hil.workflow.bench import bench
+from hil.workflow.robot_status import bench
 from hil_drivers.cia402.options import options_of
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"

@@ -23,7 +23,7 @@ from hil.control.trial.reference import leading_for, trajectory_for
 from hil.control.trial.tracking import track
 from hil.core.errors import SpecError
 from hil.dynamics import load_model
-from hil.report.trial_page import trial_page
+from hil.report.try_out_page import trial_page
 from hil.robot import Capabilities, Identity, TorqueControlled, state_dtype
 from hil.spec.station import StationRobot
 from hil.studies.soundness import faults_of

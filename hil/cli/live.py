@@ -13,7 +13,7 @@ from hil.cli.output import JsonFlag, RunsOption, duration, print_json, print_tab
 from hil.core.text import json_text
 
 if TYPE_CHECKING:
-    from hil.workflow.bench import BenchRobot
+    from hil.workflow.robot_status import BenchRobot
     from hil.workflow.steering import Reaction
 
 RunChoice = Annotated[
@@ -112,7 +112,7 @@ def watch(
     """Follow a live run to its end; Ctrl-C ends the watching, not the run."""
     from hil.cli.watching import WatchLines
     from hil.runs.listing import find_run
-    from hil.workflow.follow import follow, newest_live
+    from hil.workflow.following import follow, newest_live
 
     path = find_run(run, runs) if run else newest_live(runs)
     lines = WatchLines(str(path), terminal=not json and sys.stdout.isatty())
@@ -143,7 +143,7 @@ def robots(
     json: JsonFlag = False,
 ) -> None:
     """List the robots of a station, and which process holds each of them."""
-    from hil.workflow.bench import bench
+    from hil.workflow.robot_status import bench
 
     found = bench(station)
     if json:
@@ -171,7 +171,7 @@ def _row(robot: BenchRobot) -> tuple[str, ...]:
 
 def _chosen(run: str, runs: Path) -> Path:
     from hil.runs.listing import find_run
-    from hil.workflow.follow import only_live
+    from hil.workflow.following import only_live
 
     return find_run(run, runs) if run else only_live(runs)
 

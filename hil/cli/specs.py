@@ -101,7 +101,7 @@ def plan(
     from hil.cli.excitation_line import ExcitationLine
     from hil.core.files import json_document, write_replacing
     from hil.planning.commissioning import commissioning_of
-    from hil.report.plan_picture import plan_picture
+    from hil.report.plan_figure import plan_picture
     from hil.spec.series import is_series
     from hil.workflow.driver_check import check_driver
     from hil.workflow.preview import preview_experiment
@@ -169,7 +169,7 @@ def schema(
 ) -> None:
     """Print the JSON Schema of a spec, station, series, schedule or import map, for editors."""
     if kind == "map":
-        from hil.importers.map_schema import map_schema
+        from hil.importers.import_map_schema import map_schema
 
         print_json(map_schema())
         return

@@ -24,7 +24,7 @@ QUIET = frozenset({"checkpoint", "dwell", "state", "payload"})
 
 
 class WatchLines:
-    """Prints the items of `hil.workflow.follow.follow`.
+    """Prints the items of `hil.workflow.following.follow`.
 
     Args:
         run: What to call the run in commands.

@@ -16,10 +16,10 @@ from hil.core.typing import FloatArray
 from hil.estimators.base import RobotEstimator
 from hil.export.c_build import built, require_compiler
 from hil.export.c_program import PARTS, c_source
-from hil.export.closeness import closeness
 from hil.export.golden import LOAD, golden_of
 from hil.export.program import Program
 from hil.export.reading import program_of
+from hil.export.tolerances import closeness
 
 FAST = ("-O3", "-march=native", "-fPIC", "-shared")
 

@@ -19,7 +19,7 @@ from hil.dashboard.rendering import page, settings_of
 from hil.dashboard.run_files import report_address
 from hil.dashboard.settings import Settings
 from hil.report.judgement import ENDINGS
-from hil.report.measures import measure
+from hil.report.measure_text import measure
 from hil.report.words import duration, when
 from hil.runs.facts import started_s
 from hil.runs.view import find_runs

@@ -22,9 +22,9 @@ from hil.engine.live.log_words import words_of
 from hil.engine.live.standing import ENDING, PAUSED, Standing
 from hil.engine.live.words import share_words, state_words, step_words
 from hil.recording.rundir import RunDirectory
-from hil.report.measures import measures
+from hil.report.measure_text import measures
 from hil.report.words import duration
-from hil.workflow.follow import EventTail, how_it_ended
+from hil.workflow.following import EventTail, how_it_ended
 from hil.workflow.live_state import read_live, standing_in
 
 SILENT_AFTER_S = 5.0

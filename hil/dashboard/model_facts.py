@@ -14,7 +14,7 @@ from hil.models.log import Aliases, Entry, read_log
 from hil.models.registry import Registry
 from hil.models.version import ModelVersion
 from hil.report.documents import as_float, as_names, as_object, as_objects
-from hil.report.measures import measure
+from hil.report.measure_text import measure
 from hil.report.words import UNKNOWN, count, joint_title, number, when
 
 

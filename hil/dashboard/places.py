@@ -9,7 +9,7 @@ from starlette.convertors import PathConvertor, register_url_convertor
 from hil.core.errors import DataError
 from hil.core.text import name_text, quoted
 from hil.dashboard.settings import Settings
-from hil.runs.known_runs import known_runs
+from hil.runs.run_folders import known_runs
 
 
 class Place(PathConvertor):
@@ -59,7 +59,7 @@ def live_runs(settings: Settings, within_s: float = 0.0) -> list[Path]:
 
     Args:
         settings: What is served.
-        within_s: See `hil.runs.known_runs.KnownRuns.live`.
+        within_s: See `hil.runs.run_folders.KnownRuns.live`.
     """
     root = settings.runs.resolve()
     live = known_runs(settings.runs).live(within_s)

@@ -12,10 +12,10 @@ from hil.core.errors import RobotError
 from hil.planning.commissioning import Commissioning
 from hil.planning.experiment import Experiment
 from hil.planning.plan import Plan
-from hil.planning.preview import PlanPreview
+from hil.planning.plan_preview import PlanPreview
 from hil.planning.robots import moves_for_real, opened
-from hil.report.measures import measure, named, size
-from hil.report.plan_picture import picture_of
+from hil.report.measure_text import measure, named, size
+from hil.report.plan_figure import picture_of
 from hil.report.words import duration
 from hil.workflow.confirmation import MotionFacts, motion_facts
 from hil.workflow.operator import prompts_of

@@ -25,7 +25,7 @@ from hil.report.judgement import (
     next_command,
     sentence_of,
 )
-from hil.report.measures import measure
+from hil.report.measure_text import measure
 from hil.report.words import (
     criterion_text,
     joint_title,

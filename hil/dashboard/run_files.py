@@ -21,7 +21,7 @@ from hil.dashboard.places import address_of, run_at
 from hil.dashboard.rendering import settings_of
 from hil.dashboard.settings import Settings
 from hil.recording.numbering import number_of
-from hil.report.measures import size
+from hil.report.measure_text import size
 from hil.report.report import REPORT_FILE
 
 SHUT_IN = {

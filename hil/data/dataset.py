@@ -77,7 +77,7 @@ class Dataset:
         drive_gains_source: Where the gains come from.
         gravity: In the robot's base frame [m/s²]; says how the arm was mounted.
         arrivals: (S, K, 2, n) how each joint came to rest before each series, see
-            `hil.data.arrival`; NaN for series that are no dwells, None when nobody knows.
+            `hil.data.approach_path`; NaN for series that are no dwells, None when nobody knows.
     """
 
     robot: str

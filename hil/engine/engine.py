@@ -13,7 +13,6 @@ import traceback
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from hil.core.bounded import bounded, supervised
 from hil.core.errors import (
     HilError,
     InterlockTripped,
@@ -24,6 +23,7 @@ from hil.core.errors import (
     StaleState,
     Stopped,
 )
+from hil.core.time_limit import bounded, supervised
 from hil.core.typing import StructArray
 from hil.engine.interlocks import Interlock
 from hil.engine.observers import Observers

@@ -12,7 +12,7 @@ import numpy as np
 from hil.arms.payload import Payload
 from hil.core.typing import FloatArray
 from hil.dynamics.inertial import body_parameters, skew
-from hil.dynamics.pseudo_inertia import from_pseudo_inertia, pseudo_inertia
+from hil.dynamics.physical_consistency import from_pseudo_inertia, pseudo_inertia
 
 LENGTH_M = 0.1
 """What a load's dimensions are counted in, so that its numbers are alike in size."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from hil.core.typing import FloatArray
 from hil.dynamics.inertial import PARAMETERS
-from hil.dynamics.pseudo_inertia import from_pseudo_inertia, pseudo_inertia
+from hil.dynamics.physical_consistency import from_pseudo_inertia, pseudo_inertia
 from hil.estimators.inertial_bounds import InertialBounds
 
 BODY = len(PARAMETERS)

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.signal import savgol_filter
 
 from hil.core.typing import FloatArray
-from hil.data.arrival import QD, Q
+from hil.data.approach_path import QD, Q
 
 SMOOTHED = 7
 """Points of a path that a local parabola is fitted to: the encoder's noise is a tenth of what the
@@ -32,7 +32,7 @@ class Rest:
     Attributes:
         load: (D, n) torque that gravity and payload take [N·m], as far as it is known beforehand.
         direction: (D, n) +1 from below, −1 from above, 0 unknown.
-        paths: (D, K, 2, n) see `hil.data.arrival`; 0 where unknown.
+        paths: (D, K, 2, n) see `hil.data.approach_path`; 0 where unknown.
         warmer: (D, n) joint temperatures less their mean in training [K]; 0 where unknown.
     """
 

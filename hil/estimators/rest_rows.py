@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from hil.core.typing import BoolArray, FloatArray, IntArray
-from hil.data.arrival import POINTS
+from hil.data.approach_path import POINTS
 from hil.data.dataset import Dataset
 from hil.data.dwells import series_means
 from hil.data.filters import AT_REST

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from hil.core.typing import FloatArray
-from hil.data.arrival import POINTS, STEP_S, Track, arrival
+from hil.data.approach_path import POINTS, STEP_S, Track, arrival
 from hil.data.dwells import SAMPLES_PER_DWELL
 from hil.estimators.stream import one_sample
 
@@ -31,7 +31,8 @@ class RestStream:
     Args:
         n: Number of joints.
         standing: (1, n) positions → (1, n) effort without friction.
-        friction: (1, K, 2, n) path (`hil.data.arrival`) and (1, n) positions → (1, n) friction.
+        friction: (1, K, 2, n) path (`hil.data.approach_path`) and (1, n) positions → (1, n)
+        friction.
         rest_speed: Slower than this, every joint is at rest [rad/s].
         period_s: Time between samples [s].
     """

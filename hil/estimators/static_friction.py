@@ -12,7 +12,7 @@ import numpy as np
 from hil.arms.payload import Payload
 from hil.core.errors import FitError
 from hil.core.typing import BoolArray, FloatArray
-from hil.data.arrival import directions
+from hil.data.approach_path import directions
 from hil.data.dataset import Dataset, SeriesKind
 from hil.data.prediction import Prediction, Stream
 from hil.dynamics import RobotModel, joint_columns

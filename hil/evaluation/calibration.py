@@ -10,8 +10,8 @@ from hil.core.errors import DataError, SpecError
 from hil.core.suggest import did_you_mean
 from hil.data.dataset import Dataset, SeriesKind
 from hil.dynamics import load_model
-from hil.estimators.controller_gains import ControllerGains, controller_gains, shows_controller
 from hil.estimators.gains import Gains, calibrate_gains
+from hil.estimators.gains_without_load import ControllerGains, controller_gains, shows_controller
 from hil.importers.load import load_source
 
 GainsMethod = Literal["auto", "known-loads", "controller"]

@@ -18,10 +18,10 @@ from hil.core.errors import HilError
 from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.estimators.base import RobotEstimator
+from hil.estimators.payload_cross_validation import halves, payload_halves
 from hil.estimators.payload_declared import Declaration, check_declarations
 from hil.estimators.payload_estimate import PayloadEstimate
 from hil.estimators.payload_fit import estimate_payload
-from hil.estimators.payload_halves import halves, payload_halves
 from hil.estimators.payload_problem import with_identified
 from hil.evaluation.evaluation import filtered_effort
 

@@ -23,7 +23,7 @@ from hil.excitation.setting import Advance
 from hil.excitation.workspace import Workspace
 
 if TYPE_CHECKING:
-    from hil.excitation.optimise import ExcitationProblem, Progress
+    from hil.excitation.optimiser import ExcitationProblem, Progress
 
 ATTEMPTS = 3
 """Searches for one trajectory: a motion may be clear in itself and still be out of reach."""
@@ -97,7 +97,7 @@ class OptimisedSeries:
         Raises:
             PlanError: It found none within all limits.
         """
-        from hil.excitation.optimise import optimise
+        from hil.excitation.optimiser import optimise
 
         seeds = np.random.SeedSequence([self.question.seed, number, attempt])
         return optimise(

@@ -17,7 +17,7 @@ from hil.spec.experiment import Fourier
 from hil.spec.optimise import Optimise
 
 if TYPE_CHECKING:
-    from hil.excitation.optimise import ExcitationProblem
+    from hil.excitation.optimiser import ExcitationProblem
 
 ANSWERS = 2
 """Raised whenever the same question gets another answer than before."""
@@ -98,7 +98,7 @@ class Question:
 
     def problem(self, found: Sequence[FourierSeries]) -> ExcitationProblem:
         """What the trajectory after those `found` has to be."""
-        from hil.excitation.optimise import ExcitationProblem
+        from hil.excitation.optimiser import ExcitationProblem
 
         workspace, asked = self.workspace, self.asked
         jerk = asked.max_jerk_deg_s3

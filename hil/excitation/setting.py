@@ -12,7 +12,7 @@ from hil.excitation.cache import ExcitationCache
 
 if TYPE_CHECKING:
     from hil.dynamics.robot_model import RobotModel
-    from hil.excitation.optimise import Distances
+    from hil.excitation.optimiser import Distances
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,9 +7,9 @@ import numpy as np
 from hil.export.c_program import PARTS, CSource
 from hil.export.c_test_text import CMAKE, NO_RESIDUAL, RESIDUAL, TEST
 from hil.export.c_text import array, number
-from hil.export.closeness import NETWORK, closeness, precision
 from hil.export.golden import LOAD, Golden
 from hil.export.program import Program
+from hil.export.tolerances import NETWORK, closeness, precision
 
 
 def self_test(source: CSource, program: Program, golden: Golden) -> str:

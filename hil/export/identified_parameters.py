@@ -17,7 +17,7 @@ from hil.core.typing import FloatArray
 from hil.data.prediction import Prediction
 from hil.dynamics import base_parameters, friction_terms
 from hil.dynamics.base import BaseParameters
-from hil.dynamics.pseudo_inertia import is_consistent
+from hil.dynamics.physical_consistency import is_consistent
 from hil.estimators.base import RobotEstimator
 from hil.estimators.consistent import consistent_least_squares
 from hil.estimators.inertial_bounds import InertialBounds

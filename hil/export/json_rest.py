@@ -10,7 +10,7 @@ import numpy as np
 
 from hil.arms.payload import Payload
 from hil.core.typing import FloatArray
-from hil.data.arrival import POINTS, STEP_S
+from hil.data.approach_path import POINTS, STEP_S
 from hil.estimators.base import estimator
 from hil.estimators.motor import has_current
 from hil.estimators.static_friction import StaticFriction

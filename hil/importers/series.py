@@ -13,7 +13,7 @@ import numpy as np
 from hil.arms.payload import Payload
 from hil.core.errors import DataError
 from hil.core.typing import BoolArray, FloatArray, IntArray, StructArray
-from hil.data.arrival import POINTS, Track, arrival
+from hil.data.approach_path import POINTS, Track, arrival
 from hil.data.dataset import Conditions, Dataset, SeriesKind
 from hil.data.filters import AT_REST, is_pause
 from hil.robot.state import Status

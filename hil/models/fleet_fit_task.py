@@ -15,8 +15,8 @@ from hil.models.drift.history import identity
 from hil.dynamics import load_model
 from hil.estimators.base import estimator as make_estimator
 from hil.evaluation.fitting import fit_dataset, usable_part
-from hil.evaluation.hold_out import Parts, hold_out
-from hil.evaluation.judged_model import judged_model
+from hil.evaluation.holdout import (Parts, hold_out)
+from hil.evaluation.model_judgement import judged_model
 from hil.evaluation.validation import EVALUATION_FILE
 from hil.importers.load import load_source, serial_of
 from hil.spec.experiment import Accept

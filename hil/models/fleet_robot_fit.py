@@ -10,7 +10,7 @@ from typing import Any
 from hil.core.errors import DataError
 from hil.core.files import read_json
 from hil.estimators.model_file import write_whole
-from hil.evaluation.verdict_document import VerdictWord, verdict_word
+from hil.evaluation.run_verdict import (VerdictWord, verdict_word)
 from hil.models.fleet_fit_task import FitResult
 from hil.models.registry import Registry
 

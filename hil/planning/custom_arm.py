@@ -15,7 +15,7 @@ from hil.arms import ArmDescription, arm_from_dict
 from hil.core.errors import SpecError
 from hil.core.typing import FloatArray
 from hil.dynamics.collision import CollisionModel
-from hil.dynamics.described import Described, described
+from hil.dynamics.dh_from_urdf import Described, described
 from hil.dynamics.environment import Environment
 from hil.planning.custom_arm_limits import require_ranges, without_odd_speeds
 from hil.planning.custom_arm_text import arm_text, silent

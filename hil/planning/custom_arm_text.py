@@ -6,7 +6,7 @@ import numpy as np
 
 from hil.core.source import shown
 from hil.core.typing import BoolArray, FloatArray
-from hil.dynamics.described import Described
+from hil.dynamics.dh_from_urdf import Described
 from hil.spec.new import quoted
 
 ACCELERATION_PER_SPEED = 3.0

@@ -9,7 +9,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from hil.core import plugins
-from hil.core.bounded import bounded
+from hil.core.time_limit import bounded
 from hil.core.typing import FloatArray
 from hil.excitation.setting import Watch, unwatched
 from hil.planning.build import build_plan

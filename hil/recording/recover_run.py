@@ -10,8 +10,8 @@ from typing import Any
 
 from hil.core.errors import DataError, HilError, RecordingError
 from hil.core.live_lock import hold_run, run_holder
+from hil.recording.file_recovery import recover_file
 from hil.recording.parts import recordings_in
-from hil.recording.recover import recover_file
 from hil.recording.recovery import Recovery
 from hil.recording.reserve import release
 from hil.recording.rundir import RunDirectory

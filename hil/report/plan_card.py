@@ -6,8 +6,8 @@ import math
 
 from hil.core.notebook import CARDS, card, number
 from hil.planning.plan import Plan
-from hil.planning.preview import preview
-from hil.report.plan_picture import picture_of
+from hil.planning.plan_preview import preview
+from hil.report.plan_figure import picture_of
 
 
 def plan_card(plan: Plan) -> str:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from datetime import date, datetime, timedelta
 from typing import Any, get_args
 
-from hil.evaluation.verdict_document import VerdictWord
+from hil.evaluation.run_verdict import VerdictWord
 from hil.core.durations import duration_of
 from hil.core.errors import SpecError
 from hil.core.suggest import did_you_mean

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from hil.evaluation.verdict_document import verdict_word
+from hil.evaluation.run_verdict import verdict_word
 from hil.core.errors import DataError, HilError
 from hil.core.files import read_json
 from hil.core.live_lock import is_live

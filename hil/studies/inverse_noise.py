@@ -9,7 +9,7 @@ from scipy.signal import butter, freqz
 
 from hil.core.typing import FloatArray
 from hil.data.filters import nyquist_fraction, sample_rate
-from hil.data.persistence import persistence, persistence_rmse
+from hil.data.persistence_error import persistence, persistence_rmse
 from hil.studies.inverse_cases import Case
 
 FREQUENCIES = 1 << 14

@@ -24,7 +24,7 @@ from hil.core.errors import DataError, NotConfirmed
 from hil.core.files import read_json
 from hil.planning.experiment import Experiment
 from hil.planning.plan import LoadStep, Plan
-from hil.planning.swept import Swept, aligned, swept
+from hil.planning.swept_space import Swept, aligned, swept
 from hil.recording.provenance import operator as this_user
 from hil.recording.provenance import utc_now
 from hil.robot import Address, HasTopics, Robot, address_of

@@ -16,7 +16,7 @@ from hil.engine.signals import SignalWatch
 from hil.excitation.setting import Advance
 from hil.planning.plan import Plan
 from hil.planning.robots import close_robot
-from hil.planning.swept import swept
+from hil.planning.swept_space import swept
 from hil.recording.parts import name_of_attempt
 from hil.recording.recorder import Recorder
 from hil.robot import Robot

@@ -12,10 +12,10 @@ from hil.data.dataset import Dataset
 from hil.dynamics import load_model
 from hil.estimators.base import HONEST, estimator
 from hil.evaluation.fitting import Fitted, fit_dataset, usable_part
-from hil.evaluation.hold_out import hold_out
-from hil.evaluation.judged_model import Judged, judged_model
+from hil.evaluation.holdout import hold_out
+from hil.evaluation.model_judgement import Judged, judged_model
+from hil.evaluation.run_verdict import FailedFit, recording_rows, verdict_document
 from hil.evaluation.validation import EVALUATION_FILE
-from hil.evaluation.verdict_document import FailedFit, recording_rows, verdict_document
 from hil.importers.load import load_source
 from hil.recording.rundir import RunDirectory
 from hil.spec.experiment import ExperimentSpec, Fit

@@ -10,7 +10,7 @@ from hil.excitation.setting import Watch, unwatched
 from hil.planning.build import build_plan
 from hil.planning.experiment import Experiment
 from hil.planning.plan import Plan
-from hil.planning.preview import PlanPreview, preview
+from hil.planning.plan_preview import PlanPreview, preview
 from hil.planning.robots import leased_and_connected, opened, plan_for
 from hil.robot import Robot
 from hil.workflow.arm_check import require_within_reach

@@ -13,7 +13,7 @@ from hil.engine import Observer, Observers
 from hil.engine.pausing import nobody_goes_on
 from hil.engine.signals import SignalWatch, StopSignal
 from hil.estimators.model_folder import models_below
-from hil.evaluation.verdict_document import VerdictWord, verdict_word
+from hil.evaluation.run_verdict import VerdictWord, verdict_word
 from hil.planning.experiment import Experiment
 from hil.recording.rundir import RunDirectory
 from hil.workflow.desk import Desk, console_desk

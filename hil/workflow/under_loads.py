@@ -20,7 +20,7 @@ from hil.core.errors import FitError, HilError
 from hil.dynamics import load_model
 from hil.estimators.base import HONEST
 from hil.estimators.model_file import load_model_file
-from hil.evaluation.verdict_document import FailedFit
+from hil.evaluation.run_verdict import FailedFit
 from hil.importers.load import serial_of
 from hil.spec.experiment import Accept, ExperimentSpec, Fourier, StudyEntry
 from hil.studies.separation_text import mean_of

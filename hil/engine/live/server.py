@@ -20,8 +20,8 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 from hil.core import plugins
-from hil.core.bounded import bounded
 from hil.core.errors import HilError, PluginError
+from hil.core.time_limit import bounded
 from hil.core.typing import StructArray
 from hil.engine.live.channels import PROGRESS_SCHEMA, PROGRESS_TOPIC, RobotTopics
 from hil.engine.live.decimate import Decimation

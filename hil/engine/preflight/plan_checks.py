@@ -9,7 +9,7 @@ import numpy as np
 
 from hil.core.typing import FloatArray
 from hil.engine.preflight.check import CheckResult, Situation
-from hil.planning.preview import recording_bytes
+from hil.planning.plan_preview import recording_bytes
 from hil.planning.weighing import why_plan_not_weighed
 
 LIMIT_TOLERANCE = 1e-9

@@ -17,7 +17,7 @@ import numpy as np
 from hil.core.typing import FloatArray
 from hil.dynamics import RobotModel
 from hil.dynamics.inertial import body_parameters
-from hil.dynamics.pseudo_inertia import (
+from hil.dynamics.physical_consistency import (
     coordinate_jacobian,
     from_coordinates,
     nearest_consistent,

@@ -11,7 +11,7 @@ from typing import Any
 from hil.core import errors
 from hil.core.errors import HilError, Rejected, RobotError, Stopped, exit_code_of
 from hil.estimators.model_folder import models_below
-from hil.evaluation.verdict_document import verdict_word
+from hil.evaluation.run_verdict import verdict_word
 from hil.maintenance.fleet.workers import Manner, Workers
 from hil.models.fleet_folder import FleetFolder
 from hil.recording.rundir import RunDirectory

@@ -10,7 +10,7 @@ from hil.data.dataset import Dataset
 from hil.data.filters import FilterSettings, motion_rates
 from hil.data.metrics import rmse
 from hil.data.parts import BY_SAMPLE, told_by_sample
-from hil.data.persistence import persistence
+from hil.data.persistence_error import persistence
 from hil.estimators.base import HONEST
 from hil.networks.residual.fit import Learnt
 from hil.networks.residual.judged import Judged

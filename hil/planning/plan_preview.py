@@ -10,7 +10,7 @@ from typing import Any
 from hil.arms import load_arm
 from hil.planning.concerns import concerns
 from hil.planning.plan import Plan, number_or_none
-from hil.planning.swept import Swept, swept
+from hil.planning.swept_space import Swept, swept
 from hil.planning.weighing import is_sweep, why_not_weighed
 from hil.robot import state_dtype
 

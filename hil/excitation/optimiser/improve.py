@@ -13,10 +13,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hil.core.typing import FloatArray
-from hil.excitation.optimise.linear_limits import LinearLimits
-from hil.excitation.optimise.motion_limits import TOLERATED, MotionLimits
-from hil.excitation.optimise.program import ALLOWED, Point, Proposal, StepProgram
-from hil.excitation.optimise.value import ValueOf
+from hil.excitation.optimiser.linear_limits import LinearLimits
+from hil.excitation.optimiser.motion_limits import TOLERATED, MotionLimits
+from hil.excitation.optimiser.program import ALLOWED, Point, Proposal, StepProgram
+from hil.excitation.optimiser.value import ValueOf
 
 ARMIJO = 1e-4
 SHORTEST = 1e-3

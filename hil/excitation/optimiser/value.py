@@ -9,7 +9,7 @@ import numpy as np
 from hil.core.typing import FloatArray
 
 if TYPE_CHECKING:
-    from hil.excitation.optimise.problem import ExcitationProblem
+    from hil.excitation.optimiser.problem import ExcitationProblem
 
 
 class Value(NamedTuple):

@@ -8,12 +8,12 @@ import numpy as np
 
 from hil.core.typing import FloatArray
 from hil.excitation.motion import FourierSeries
-from hil.excitation.optimise.linear_limits import POINTS_PER_HARMONIC
-from hil.excitation.optimise.motion_limits import DistanceLimit, Motion, torques
-from hil.excitation.optimise.result import Margins
+from hil.excitation.optimiser.linear_limits import POINTS_PER_HARMONIC
+from hil.excitation.optimiser.motion_limits import DistanceLimit, Motion, torques
+from hil.excitation.optimiser.result import Margins
 
 if TYPE_CHECKING:
-    from hil.excitation.optimise.problem import ExcitationProblem
+    from hil.excitation.optimiser.problem import ExcitationProblem
 
 DENSER = 10
 

@@ -8,14 +8,14 @@ import numpy as np
 
 from hil.core.errors import PlanError
 from hil.core.typing import FloatArray
-from hil.excitation.optimise.draw import draw
-from hil.excitation.optimise.improve import Search
-from hil.excitation.optimise.linear_limits import LinearLimits
-from hil.excitation.optimise.margins import DENSER, margins_of
-from hil.excitation.optimise.motion_limits import RESERVE, MotionLimits
-from hil.excitation.optimise.problem import ExcitationProblem
-from hil.excitation.optimise.result import Optimised, Progress, ProgressCallback, Start
-from hil.excitation.optimise.value import ValueOf
+from hil.excitation.optimiser.draw import draw
+from hil.excitation.optimiser.improve import Search
+from hil.excitation.optimiser.linear_limits import LinearLimits
+from hil.excitation.optimiser.margins import DENSER, margins_of
+from hil.excitation.optimiser.motion_limits import RESERVE, MotionLimits
+from hil.excitation.optimiser.problem import ExcitationProblem
+from hil.excitation.optimiser.result import Optimised, Progress, ProgressCallback, Start
+from hil.excitation.optimiser.value import ValueOf
 
 ROUNDS = 5
 """More of the last stage, while what it finds exceeds limits between the points."""

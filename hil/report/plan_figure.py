@@ -14,9 +14,9 @@ from hil.core.files import write_replacing
 from hil.core.typing import FloatArray
 from hil.excitation.motion import Line
 from hil.planning.plan import Plan
-from hil.planning.preview import preview
+from hil.planning.plan_preview import preview
 from hil.report import svg
-from hil.report.plan_picture_style import STYLE
+from hil.report.plan_figure_style import STYLE
 from hil.report.plan_timeline import Span, Timeline, timeline_of
 
 WIDTH, LEFT, RIGHT = 1200.0, 170.0, 1170.0

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 import numpy as np
 
 from hil.core.typing import FloatArray, IntArray
-from hil.excitation.optimise.linear_limits import POINTS_PER_HARMONIC
+from hil.excitation.optimiser.linear_limits import POINTS_PER_HARMONIC
 
 if TYPE_CHECKING:
     from hil.dynamics.robot_model import RobotModel
-    from hil.excitation.optimise.problem import Distances, ExcitationProblem
+    from hil.excitation.optimiser.problem import Distances, ExcitationProblem
 
 DISTANCE_SCALE_M = 0.1
 """An excess of 1 is so much too close, or all of a torque limit too much."""

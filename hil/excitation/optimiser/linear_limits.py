@@ -14,7 +14,7 @@ import numpy as np
 from hil.core.typing import FloatArray, IntArray
 
 if TYPE_CHECKING:
-    from hil.excitation.optimise.problem import ExcitationProblem
+    from hil.excitation.optimiser.problem import ExcitationProblem
 
 POINTS_PER_HARMONIC = 40
 """Costs 0.3 % of every limit."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from hil.core.errors import PlanError
 from hil.core.typing import BoolArray, FloatArray
-from hil.excitation.optimise.series_basis import SeriesBasis
+from hil.excitation.optimiser.series_basis import SeriesBasis
 
 if TYPE_CHECKING:
     from hil.dynamics.base import BaseParameters

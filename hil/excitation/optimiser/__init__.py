@@ -1,8 +1,8 @@
 """Fourier excitations made to identify well: condition or determinant under all limits."""
 
-from hil.excitation.optimise.problem import Distances, ExcitationProblem, Objective
-from hil.excitation.optimise.result import Margins, Optimised, Progress, ProgressCallback, Start
-from hil.excitation.optimise.solve import optimise
+from hil.excitation.optimiser.problem import Distances, ExcitationProblem, Objective
+from hil.excitation.optimiser.result import Margins, Optimised, Progress, ProgressCallback, Start
+from hil.excitation.optimiser.solve import optimise
 
 __all__ = [
     "Distances",

@@ -10,7 +10,7 @@ from typing import Any
 
 from hil.core.errors import DataError, Rejected
 from hil.core.live_lock import is_live
-from hil.evaluation.verdict_document import verdict_word
+from hil.evaluation.run_verdict import verdict_word
 from hil.recording.rundir import RunDirectory
 from hil.runs.listing import list_runs
 from hil.workflow.live_state import read_live

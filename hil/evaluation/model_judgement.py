@@ -9,7 +9,7 @@ from typing import Any
 from hil.estimators.base import HONEST
 from hil.evaluation import Criterion, Evaluation, Verdict, evaluate, judge
 from hil.evaluation.fitting import Fitted
-from hil.evaluation.hold_out import Parts
+from hil.evaluation.holdout import Parts
 from hil.evaluation.verdict import Metric
 from hil.spec.experiment import Accept
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from hil.core.typing import FloatArray
-from hil.excitation.optimise.linear_limits import LinearLimits
-from hil.excitation.optimise.motion_limits import MotionLimits
+from hil.excitation.optimiser.linear_limits import LinearLimits
+from hil.excitation.optimiser.motion_limits import MotionLimits
 
 DRAWS = 40
 SHRINKAGE = (1.0, 0.7, 0.5, 0.3, 0.15)
