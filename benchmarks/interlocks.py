@@ -13,7 +13,7 @@ from hil.arms import load_arm
 from hil.core.typing import StructArray
 from hil.dynamics import CollisionModel
 from hil.dynamics.sample_distances import SampleDistances
-from hil.engine.interlocks import InterlockContext, Interlocks, from_spec
+from hil.engine.interlocks import InterlockContext, Interlocks, interlocks_from_spec
 from hil.planning.build import build_plan
 from hil.planning.plan import Plan
 from hil.planning.surroundings import collision_model
@@ -99,7 +99,7 @@ def _interlocks(spec: ExperimentSpec, bodies: CollisionModel) -> Interlocks:
         behind_s=lambda: 0.0,
         folder=Path(),
     )
-    return from_spec(spec.interlocks, context)
+    return interlocks_from_spec(spec.interlocks, context)
 
 
 def _judge_all(

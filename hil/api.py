@@ -136,7 +136,7 @@ def plan(experiment: Experiment, *, connect: bool = False) -> Plan:
         PlanError: No safe plan follows from the spec.
         RobotError: The robot cannot be asked where it stands, or another process holds it.
     """
-    from hil.report import plan_card  # noqa: F401  the card of a plan in a notebook has its picture
+    from hil.report.plan_in_notebook import plan_card  # noqa: F401  the card of a plan in a notebook has its picture
     from hil.workflow.preview import planned
 
     with planned(_loaded(experiment), connect=connect) as (_, made, _):
@@ -659,7 +659,7 @@ def try_out(
     from hil.estimators.model_file import json_bytes
     from hil.export.exported import require_new, write_folder
     from hil.report.render import page_html
-    from hil.report.try_out_page import REPORT_FILE, trial_page
+    from hil.report.try_out_page import TRY_OUT_FILE, trial_page
 
     folder = _path(out)
     require_new(folder)
@@ -673,7 +673,7 @@ def try_out(
         progress=progress or (lambda text: None),
     )
     document = json_bytes(trial.to_dict()).decode()
-    write_folder({REPORT_FILE: page_html(trial_page(trial)), "try-out.json": document}, folder)
+    write_folder({TRY_OUT_FILE: page_html(trial_page(trial)), "try-out.json": document}, folder)
     return trial
 
 

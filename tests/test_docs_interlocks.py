@@ -16,7 +16,7 @@ from kinematic_robot import KinematicRobot
 from hil.core import plugins
 from hil.engine.interlocks import InterlockContext, from_spec
 from hil.spec import spec_from_text
-from hil.spec.interlocks import DEFAULTS, KINDS
+from hil.spec.interlocks import DEFAULTS, INTERLOCK_KINDS
 from hil.spec.model_tree import kinds_of
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -38,7 +38,7 @@ def test_the_list_shown_is_a_list_of_interlocks() -> None:
 
 
 def test_the_table_lists_every_kind_with_its_keys_and_actions() -> None:
-    assert tuple(ROWS) == KINDS
+    assert tuple(ROWS) == INTERLOCK_KINDS
     models = kinds_of(type(spec_from_text(HEAD)).model_fields["interlocks"].annotation.__args__[0])
     for kind, row in ROWS.items():
         own = set(models[kind].model_fields) - {"kind", "action", "enabled", "resume_below_c"}
@@ -49,7 +49,7 @@ def test_the_table_lists_every_kind_with_its_keys_and_actions() -> None:
 
 def test_the_table_says_which_are_in_every_run() -> None:
     never = {kind for kind, row in ROWS.items() if row.split("|")[-3].strip() == "–"}
-    assert set(KINDS) - never == {default.kind for default in DEFAULTS}
+    assert set(INTERLOCK_KINDS) - never == {default.kind for default in DEFAULTS}
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ from hil.core import plugins
 from hil.core.errors import PlanError, SpecError
 from hil.core.typing import StructArray
 from hil.engine import Outcome
-from hil.engine.interlocks import InterlockContext, from_spec
+from hil.engine.interlocks import InterlockContext, interlocks_from_spec
 from hil.spec import ExperimentSpec, load_spec, spec_from_text, spec_hash
 from hil.spec.interlocks import DEFAULTS, PluggedInterlock
 
@@ -112,22 +112,27 @@ def test_one_kind_may_pause_first_and_stop_later() -> None:
     spec = with_interlocks(
         "{kind: temperature, limit_c: 60, action: pause}, {kind: temperature, limit_c: 70}"
     )
-    heat = [i for i in from_spec(spec.interlocks) if i.name == "temperature"]
+    heat = [i for i in interlocks_from_spec(spec.interlocks) if i.name == "temperature"]
     assert [interlock.action for interlock in heat] == ["pause", "stop"]
 
 
 def test_a_default_is_switched_off_by_its_name_only() -> None:
     spec = with_interlocks("{kind: disk, enabled: false}, {kind: torque, enabled: false}")
-    made = from_spec(spec.interlocks, InterlockContext(folder=Path()))
+    made = interlocks_from_spec(spec.interlocks, InterlockContext(folder=Path()))
     assert not {"disk", "torque"} & {interlock.name for interlock in made}
     assert {(off.name, off.why) for off in made.off} >= {("disk", "switched off in the spec")}
 
 
 def test_stale_data_cannot_be_switched_off_and_its_time_reaches_the_engine() -> None:
     assert "cannot be switched off" in problem("{kind: stale, enabled: false}")
-    assert from_spec(with_interlocks("{kind: stale, after_s: 0.2}").interlocks).stale_after_s == 0.2
-    assert from_spec(spec_from_text(GOOD).interlocks).stale_after_s == 0.5
-    assert from_spec([]).stale_after_s == 0.5
+    assert (
+        interlocks_from_spec(
+            with_interlocks("{kind: stale, after_s: 0.2}").interlocks
+        ).stale_after_s
+        == 0.2
+    )
+    assert interlocks_from_spec(spec_from_text(GOOD).interlocks).stale_after_s == 0.5
+    assert interlocks_from_spec([]).stale_after_s == 0.5
 
 
 def test_written_out_defaults_and_another_order_are_the_same_spec() -> None:
@@ -207,13 +212,13 @@ def test_a_plug_in_is_found_by_its_kind_and_gets_its_own_keys(plugged: None) -> 
     spec = with_interlocks("{kind: humidity, limit_percent: 70, action: pause}")
     (entry,) = (i for i in spec.interlocks if isinstance(i, PluggedInterlock))
     assert entry.parameters == {"limit_percent": 70}
-    (made,) = from_spec([entry], InterlockContext(joint_names=NAMES))
+    (made,) = interlocks_from_spec([entry], InterlockContext(joint_names=NAMES))
     assert (made.name, made.action) == ("humidity", "pause")
     assert (made.limit, made.joints) == (70, NAMES)  # type: ignore[attr-defined]
 
 
 def test_a_plug_in_stops_a_run_in_its_own_words(plugged: None) -> None:
-    interlocks = from_spec([spec_of(kind="humidity", limit_percent=100)])
+    interlocks = interlocks_from_spec([spec_of(kind="humidity", limit_percent=100)])
     robot = KinematicRobot()
     result = engine(robot, ListSink(), interlocks=interlocks).run()
     assert result.outcome is Outcome.TRIPPED
@@ -222,7 +227,7 @@ def test_a_plug_in_stops_a_run_in_its_own_words(plugged: None) -> None:
 
 
 def test_plug_ins_are_described_and_closed_with_the_others(plugged: None) -> None:
-    interlocks = from_spec([spec_of(kind="humidity", limit_percent=70)])
+    interlocks = interlocks_from_spec([spec_of(kind="humidity", limit_percent=70)])
     assert interlocks.describe()[0] == {"name": "humidity", "action": "stop", "limit": "70 %"}
     interlocks.close()
     assert interlocks[0].closed  # type: ignore[attr-defined]
@@ -265,7 +270,7 @@ def test_a_plug_in_that_cannot_watch_is_refused(
     plugged: None, entry: dict[str, Any], told: str
 ) -> None:
     with pytest.raises(PlanError, match=told):
-        from_spec([spec_of(**entry)])
+        interlocks_from_spec([spec_of(**entry)])
 
 
 def test_the_spec_of_a_run_is_readable_where_its_plug_in_is_missing(tmp_path: Path) -> None:
@@ -277,7 +282,7 @@ def test_the_spec_of_a_run_is_readable_where_its_plug_in_is_missing(tmp_path: Pa
 
 
 def test_the_default_set_lets_a_quiet_robot_be() -> None:
-    interlocks = from_spec(DEFAULTS, InterlockContext(joint_names=NAMES, folder=Path()))
+    interlocks = interlocks_from_spec(DEFAULTS, InterlockContext(joint_names=NAMES, folder=Path()))
     block = rows(8)
     assert all(interlock.check(block) is None for interlock in interlocks)
     interlocks.close()
@@ -289,7 +294,7 @@ def test_a_hot_joint_pauses_a_run_that_goes_on_when_it_is_cool() -> None:
         block["temperature"] = np.where(hot, 72.0, 40.0)[:, None]
 
     sink = ListSink()
-    heat = from_spec([spec_of(kind="temperature", limit_c=70, action="pause")])
+    heat = interlocks_from_spec([spec_of(kind="temperature", limit_c=70, action="pause")])
     result = engine(KinematicRobot(warms_up_and_cools_down), sink, interlocks=heat).run()
     assert result.outcome is Outcome.COMPLETED
     assert [e["kind"] for e in sink.events].count("resumed") == 1

@@ -22,7 +22,7 @@ from hil.core import held_file
 from hil.core.errors import DataError, RecordingError
 from hil.core.live_lock import hold_run, is_live, run_holder
 from hil.recording.rundir import RunDirectory
-from hil.runs.listing import list_runs
+from hil.runs.listing import run_listings
 from hil.runs.summary import describe_run
 
 
@@ -153,11 +153,11 @@ def test_a_live_run_is_listed_as_running_before_and_after_it_has_a_start_documen
 ) -> None:
     run = RunDirectory.create(tmp_path, "ur5", "dwell")
     with hold_run(run.path):
-        (begun,) = list_runs(tmp_path)
+        (begun,) = run_listings(tmp_path)
         run.write_start({"uid": "u-1"})
-        (going,) = list_runs(tmp_path)
+        (going,) = run_listings(tmp_path)
         assert describe_run(run.path)["status"] == "running"
-    (over,) = list_runs(tmp_path)
+    (over,) = run_listings(tmp_path)
     assert (begun.status, begun.uid, begun.problem) == ("running", "", "")
     assert (going.status, going.uid) == ("running", "u-1")
     assert over.status == "interrupted"

@@ -22,7 +22,7 @@ from recorded_rows import record_state
 import hil.recording.numbering as numbering
 from hil.core.errors import DataError, RecordingError
 from hil.recording import RunDirectory
-from hil.runs.listing import list_runs
+from hil.runs.listing import run_listings
 
 
 def started(root: Path, name: str = "fourier") -> RunDirectory:
@@ -61,7 +61,7 @@ def test_a_disk_without_room_for_the_reserve_is_told_and_no_run_left(
     with pytest.raises(RecordingError, match="No space left on device") as caught:
         RunDirectory.create(tmp_path, "ur5", "fourier")
     assert "free the disk" in str(caught.value.hint)
-    assert [run.number for run in list_runs(tmp_path)] == []
+    assert [run.number for run in run_listings(tmp_path)] == []
 
 
 def test_a_place_where_no_run_can_be_is_not_blamed_on_a_full_disk(tmp_path: Path) -> None:
@@ -77,7 +77,7 @@ def test_processes_that_create_runs_at_once_get_different_numbers(tmp_path: Path
         numbers = pool.map(create_runs, [(tmp_path, f"p{i}", 10) for i in range(4)], chunksize=1)
     taken = [number for of_process in numbers for number in of_process]
     assert len(set(taken)) == 40
-    assert sorted(run.number for run in list_runs(tmp_path)) == sorted(taken)
+    assert sorted(run.number for run in run_listings(tmp_path)) == sorted(taken)
 
 
 def test_a_number_that_another_process_has_just_taken_is_not_given_again(
@@ -118,7 +118,7 @@ def test_a_claim_of_a_live_process_keeps_its_number_and_its_files(tmp_path: Path
         (claim.draft / "spec.yaml").write_text("hil: 1")
         assert RunDirectory.create(tmp_path, "ur5", "other").number == 2
         assert (claim.draft / "spec.yaml").exists()
-        assert [run.number for run in list_runs(tmp_path)] == [2]
+        assert [run.number for run in run_listings(tmp_path)] == [2]
 
 
 def test_a_run_is_renamed_within_one_folder(
@@ -139,11 +139,11 @@ def test_a_run_is_renamed_within_one_folder(
 def test_a_run_has_its_name_only_when_it_has_its_documents(tmp_path: Path) -> None:
     def begin(draft: RunDirectory) -> None:
         draft.write_start({"uid": "u-1"})
-        assert list_runs(tmp_path) == []
+        assert run_listings(tmp_path) == []
 
     run = RunDirectory.create(tmp_path, "ur5", "fourier", begin)
     assert run.start["uid"] == "u-1"
-    assert [listing.status for listing in list_runs(tmp_path)] == ["interrupted"]
+    assert [listing.status for listing in run_listings(tmp_path)] == ["interrupted"]
     assert sorted(path.name for path in run.path.iterdir()) == [
         ".reserve",
         "recording",
@@ -168,7 +168,7 @@ def test_a_process_killed_before_its_run_has_begun_leaves_nothing_that_is_listed
     killed = subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)], check=False)
     assert killed.returncode == -signal.SIGKILL
     assert hidden(tmp_path) == [".claim-0001", ".draft-0001"]
-    assert list_runs(tmp_path) == []
+    assert run_listings(tmp_path) == []
     assert started(tmp_path).number == 1
     assert hidden(tmp_path) == []
 
@@ -337,7 +337,7 @@ def test_damaged_start_document_is_refused_and_listed_as_damaged(
     (run.path / "start.json").write_bytes(content)
     with pytest.raises(DataError, match=r"start\.json"):
         RunDirectory.open(run.path)
-    (listing,) = list_runs(tmp_path)
+    (listing,) = run_listings(tmp_path)
     assert listing.status == "damaged"
     assert "start.json" in listing.problem
 
@@ -352,11 +352,11 @@ def test_list_shows_every_run_with_its_status_whatever_lies_beside_it(tmp_path: 
     renamed = started(tmp_path, "renamed")
     renamed.path.rename(renamed.path.with_name("the good one"))
     (done.path.parent / "0099-file").write_text("not a directory")
-    assert [(run.number, run.status) for run in list_runs(tmp_path)] == [
+    assert [(run.number, run.status) for run in run_listings(tmp_path)] == [
         (0, "interrupted"),
         (1, "tripped"),
         (2, "interrupted"),
         (3, "damaged"),
         (4, "damaged"),
     ]
-    assert list_runs(tmp_path / "nowhere") == []
+    assert run_listings(tmp_path / "nowhere") == []

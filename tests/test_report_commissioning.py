@@ -12,7 +12,7 @@ from hil.cli.app import app
 from hil.report import summary_lines
 from hil.report.commissioning import next_commissioning
 from hil.report.facts import read_facts
-from hil.runs.listing import list_runs
+from hil.runs.listing import run_listings
 from hil.runs.summary import next_command
 
 
@@ -57,7 +57,7 @@ def test_the_built_in_bench_needs_no_station(tmp_path):
 def test_runs_lists_the_command_that_repeats_a_failed_commissioning_run(tmp_path):
     run = commissioned(tmp_path, "failed", first_s=30.0)
     (run.path / "report.html").write_text("failed")
-    (listing,) = list_runs(tmp_path)
+    (listing,) = run_listings(tmp_path)
     assert next_command(listing) == f"{AT} --first 30s"
     table = CliRunner().invoke(app, ["runs", "--runs", str(tmp_path)]).output
     assert f"{AT} --first 30s" in table
@@ -66,5 +66,5 @@ def test_runs_lists_the_command_that_repeats_a_failed_commissioning_run(tmp_path
 def test_a_completed_commissioning_run_leaves_nothing_to_complete(tmp_path):
     run = commissioned(tmp_path, first=3)
     (run.path / "report.html").write_text("completed")
-    (listing,) = list_runs(tmp_path)
+    (listing,) = run_listings(tmp_path)
     assert next_command(listing) == ""

@@ -48,13 +48,13 @@ def new(
 ) -> None:
     """Begin a spec, a schedule or a station: a valid file with comments; overwrites nothing."""
     from hil.core.suggest import did_you_mean
-    from hil.spec.new import KINDS, drafts
+    from hil.spec.new import DRAFT_KINDS, drafts
 
     if list_ or not kind:
-        _list(KINDS, json)
+        _list(DRAFT_KINDS, json)
         return
-    if kind not in KINDS:
-        raise SpecError(f"hil new makes no {kind!r}", hint=did_you_mean(kind, KINDS))
+    if kind not in DRAFT_KINDS:
+        raise SpecError(f"hil new makes no {kind!r}", hint=did_you_mean(kind, DRAFT_KINDS))
     if (kind == URDF) != (urdf is not None):
         raise SpecError(
             f"hil new {URDF} needs --urdf ARM.urdf, and nothing else takes it",

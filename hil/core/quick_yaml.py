@@ -20,7 +20,7 @@ def look_into(text: str | bytes) -> Any:
     """
     import yaml  # the command line starts without it
 
-    bounded(text)
+    require_bounded(text)
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     try:
         return yaml.load(text, loader)  # noqa: S506 - a safe loader, compiled
@@ -28,7 +28,7 @@ def look_into(text: str | bytes) -> Any:
         raise ValueError(f"no YAML: {_said(error)}") from error
 
 
-def bounded(text: str | bytes) -> None:
+def require_bounded(text: str | bytes) -> None:
     """See that a document can be built at all, before anything of it is.
 
     Raises:

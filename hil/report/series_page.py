@@ -18,7 +18,8 @@ from hil.report.series_models import models_tables
 from hil.report.study_facts import read_studies
 from hil.report.study_words import columns_of, is_numeric, protocol_mark
 from hil.report.words import UNKNOWN, when
-from hil.studies import result as found
+from hil.studies.result import Part, StudyResult
+from hil.studies.result import Table as StudyTable
 
 PAGE = "series.html"
 VERDICTS = {"passed": True, "rejected": False}
@@ -38,7 +39,7 @@ class SeriesRun:
     name: str
     entry: Document
     fits: tuple[FitFacts, ...]
-    studies: tuple[found.StudyResult, ...]
+    studies: tuple[StudyResult, ...]
 
 
 def render_series(folder: Path) -> Path:
@@ -125,7 +126,7 @@ def _runs_row(run: SeriesRun) -> tuple[Cell, ...]:
 
 def _study_sections(runs: Sequence[SeriesRun]) -> list[Section]:
     """Each part of the studies, its tables with the runs beside one another."""
-    parts: dict[tuple[str, str], dict[str, list[tuple[str, found.Table]]]] = {}
+    parts: dict[tuple[str, str], dict[str, list[tuple[str, StudyTable]]]] = {}
     for run, study, part in _parts(runs):
         mark = protocol_mark(part.protocol)
         title = f"{part.title} ({mark})" if mark else part.title
@@ -144,14 +145,14 @@ def _study_sections(runs: Sequence[SeriesRun]) -> list[Section]:
     ]
 
 
-def _parts(runs: Sequence[SeriesRun]) -> Iterator[tuple[str, str, found.Part]]:
+def _parts(runs: Sequence[SeriesRun]) -> Iterator[tuple[str, str, Part]]:
     """Every part of every study, with the names of the run and of the study."""
     for run in runs:
         for study in run.studies:
             yield from ((run.name, study.study, part) for part in study.parts)
 
 
-def side_by_side(shown: Sequence[tuple[str, found.Table]]) -> list[Table]:
+def side_by_side(shown: Sequence[tuple[str, StudyTable]]) -> list[Table]:
     """One table with a group of columns for each run, if the runs' tables have the same columns.
 
     Args:
@@ -167,7 +168,7 @@ def side_by_side(shown: Sequence[tuple[str, found.Table]]) -> list[Table]:
     return [_joined(shown)]
 
 
-def _joined(shown: Sequence[tuple[str, found.Table]]) -> Table:
+def _joined(shown: Sequence[tuple[str, StudyTable]]) -> Table:
     columns = [Column(shown[0][1].columns[0], number=False)]
     texts = [_by_row(table) for _, table in shown]
     keys = dict.fromkeys(key for one in texts for key in one)
@@ -183,7 +184,7 @@ def _joined(shown: Sequence[tuple[str, found.Table]]) -> Table:
     return Table(shown[0][1].title, tuple(columns), rows, " ".join(notes))
 
 
-def _by_row(table: found.Table) -> dict[tuple[str, int], tuple[str, ...]]:
+def _by_row(table: StudyTable) -> dict[tuple[str, int], tuple[str, ...]]:
     """The texts of each row but its name, by the name and how often that has come before."""
     out: dict[tuple[str, int], tuple[str, ...]] = {}
     seen: Counter[str] = Counter()

@@ -18,7 +18,8 @@ from hil.report.study_words import (
     short_titles,
 )
 from hil.report.words import duration, in_words
-from hil.studies import result as found
+from hil.studies.result import Part, StudyResult
+from hil.studies.result import Table as StudyTable
 
 MOST_POINTS = 150_000
 """Of all series of a page together: about 2 MB, beside 5 MB of the plotting library."""
@@ -30,9 +31,7 @@ LONG = 20
 """Rows from which on a table comes after the figures: nobody reads on to them below it."""
 
 
-def study_sections(
-    studies: Sequence[found.StudyResult], models: Sequence[str] = ()
-) -> list[Section]:
+def study_sections(studies: Sequence[StudyResult], models: Sequence[str] = ()) -> list[Section]:
     """For every study what it comes to, followed by its parts.
 
     Args:
@@ -51,7 +50,7 @@ def study_sections(
 
 def _sections(
     name: str,
-    study: found.StudyResult,
+    study: StudyResult,
     points: int,
     models: Sequence[str],
     *,
@@ -70,7 +69,7 @@ def _sections(
     return [first, *parts]
 
 
-def _part(name: str, part: found.Part, points: int, models: Sequence[str]) -> Section:
+def _part(name: str, part: Part, points: int, models: Sequence[str]) -> Section:
     mark = protocol_mark(part.protocol)
     blocks: list[Block] = [Paragraphs(part.text)] if part.text else []
     blocks += [_table(table) for table in part.tables if len(table.rows) < LONG]
@@ -92,7 +91,7 @@ def _lead(protocol: str) -> str:
     )
 
 
-def _table(table: found.Table) -> Table:
+def _table(table: StudyTable) -> Table:
     columns = tuple(
         Column(title, number=is_numeric(table, i)) for i, title in enumerate(table.columns)
     )

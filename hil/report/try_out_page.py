@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.control.trial import leading
 from hil.control.trial.found import found
 from hil.control.trial.judged import improvement, judged, most_help, relief, unaided
+from hil.control.trial.leading import DATASHEET, GRAVITY, NOTHING
 from hil.control.trial.result import Trial
 from hil.report.blocks import (
     Badge,
@@ -25,7 +25,7 @@ from hil.report.blocks import (
 from hil.report.study_sections import study_sections
 from hil.report.words import duration
 
-REPORT_FILE = "report.html"
+TRY_OUT_FILE = "report.html"
 
 
 def trial_page(trial: Trial) -> Page:
@@ -80,9 +80,9 @@ def _key_figures(trial: Trial) -> list[KeyFigure]:
         figures.append(KeyFigure("tracking error without", f"{improvement(trial):.0f} ×", told))
     way = most_help(trial)
     for over, label in (
-        (leading.NOTHING, "effort of the hand"),
-        (leading.DATASHEET, "the same, beside the datasheet"),
-        (leading.GRAVITY, "the same, by friction alone"),
+        (NOTHING, "effort of the hand"),
+        (DATASHEET, "the same, beside the datasheet"),
+        (GRAVITY, "the same, by friction alone"),
     ):
         share = relief(trial, way, over)
         if over != way and np.isfinite(share).all():

@@ -43,7 +43,7 @@ class RunListing:
     problem: str = ""
 
 
-def list_runs(runs_root: Path) -> list[RunListing]:
+def run_listings(runs_root: Path) -> list[RunListing]:
     """Every run under `runs_root`, by number; damaged directories are listed as such.
 
     Raises:

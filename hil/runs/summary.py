@@ -14,7 +14,7 @@ from hil.core.live_lock import is_live
 from hil.core.text import shell_word
 from hil.estimators.model_folder import models_below
 from hil.runs.listing import RunListing
-from hil.runs.listing import list_runs as listings_of
+from hil.runs.listing import run_listings
 from hil.recording.parts import name_of_attempt
 from hil.recording.rundir import (PRUNED, RunDirectory)
 from hil.recording.span import recorded_s
@@ -29,7 +29,7 @@ def list_runs(runs: str | Path = "runs") -> list[dict[str, Any]]:
     `next` (the command that brings a run to its end; empty where nothing is left to do).
     """
     return [
-        entry_of(listing) | {"next": next_command(listing)} for listing in listings_of(Path(runs))
+        entry_of(listing) | {"next": next_command(listing)} for listing in run_listings(Path(runs))
     ]
 
 

@@ -20,7 +20,7 @@ from hil.core.errors import HilError, PluginError
 from hil.core.neighbours import no_file_but
 from hil.core.source import Path, Source, shown
 from hil.core.suggest import closest, did_you_mean
-from hil.spec.interlocks import KINDS
+from hil.spec.interlocks import INTERLOCK_KINDS
 
 RECORDED = {"dwell": ("dwell", "dwells"), "fourier": ("trajectory", "trajectories")}
 """Kind of excitation → the series it is run for, singular as in the data and plural for people."""
@@ -48,11 +48,11 @@ def check_interlocks(source: Source) -> None:
     """
     for path, entry in _entries(source, "interlocks"):
         kind = entry.get("kind")
-        if not isinstance(kind, str) or kind in KINDS:
+        if not isinstance(kind, str) or kind in INTERLOCK_KINDS:
             continue
         if kind not in (plugged := plugins.names("hil.interlocks")):
-            message = f"there is no kind '{shown(kind)}'; {did_you_mean(kind, [*KINDS, *plugged])}"
-            source.add((*path, "kind"), message)
+            close = did_you_mean(kind, [*INTERLOCK_KINDS, *plugged])
+            source.add((*path, "kind"), f"there is no kind '{shown(kind)}'; {close}")
         else:
             _check_plugged(source, path, kind, entry)
 

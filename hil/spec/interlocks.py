@@ -249,7 +249,7 @@ BuiltIn = (
     | DiskInterlock
     | SpeedScalingInterlock
 )
-KINDS: tuple[str, ...] = tuple(
+INTERLOCK_KINDS: tuple[str, ...] = tuple(
     get_args(model.model_fields["kind"].annotation)[0] for model in get_args(BuiltIn)
 )
 """The built-in kinds."""
@@ -273,7 +273,9 @@ class _ByKind:
     @staticmethod
     def _validate(value: Any, built_in: Any) -> Any:
         kind = value.get("kind") if isinstance(value, Mapping) else None
-        if isinstance(value, PluggedInterlock) or (isinstance(kind, str) and kind not in KINDS):
+        if isinstance(value, PluggedInterlock) or (
+            isinstance(kind, str) and kind not in INTERLOCK_KINDS
+        ):
             return PluggedInterlock.model_validate(value)
         return built_in(value)
 

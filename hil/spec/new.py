@@ -30,7 +30,7 @@ _MODELS: dict[str, tuple[str, type[Strict]]] = {
     "hil_station": ("station", Station),
     "hil_schedule": ("schedule", ScheduleSpec),
 }
-KINDS = {
+DRAFT_KINDS = {
     "dwell": "gravity and static friction from poses at rest",
     "fourier": "rigid body and friction from periodic trajectories",
     "load-sweep": "a model of the bare arm under loads of known mass",
@@ -53,7 +53,7 @@ def drafts(kind: str, file: Path, *, robot: str, name: str, model: str = "") -> 
     """The files of a kind, the one that commands are given first.
 
     Args:
-        kind: One of `KINDS`, but for `own-urdf`.
+        kind: One of `DRAFT_KINDS`, but for `own-urdf`.
         file: Where the first one goes; others stand beside it and begin with its name.
         robot: A robot of the station that they are for.
         name: What the experiment, station or schedule is called.

@@ -8,7 +8,7 @@ from typing import Any
 
 from hil.data.filters import FilterSettings
 from hil.estimators.base import RobotEstimator, estimator
-from hil.networks.lagrangian import choices
+from hil.networks.lagrangian.choices import LAGRANGIAN_CHOICES
 from hil.networks.residual.settings import TRAINING, ResidualSettings
 from hil.studies.dynamic_methods import METHODS as CLASSICAL
 
@@ -20,7 +20,7 @@ PREVIOUS_S = 0.001
 
 NETWORK, RESIDUAL, OURS = "lagrangian", "residual", "rigid-hysteresis"
 
-USUAL_EPOCHS = {NETWORK: choices.OURS["epochs"], RESIDUAL: TRAINING["epochs"]}
+USUAL_EPOCHS = {NETWORK: LAGRANGIAN_CHOICES["epochs"], RESIDUAL: TRAINING["epochs"]}
 """Of the estimators that learn."""
 
 LITERAL = "proposed-literal"

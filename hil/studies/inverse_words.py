@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from hil.networks.lagrangian import choices
+from hil.networks.lagrangian.choices import LAGRANGIAN_CHOICES
 from hil.studies.inverse_found import Found
 from hil.studies.inverse_methods import LITERAL, ONE_TO_SIX, ROWS
 from hil.studies.inverse_ranks import FEWEST_SEEDS, apart, beside, doubt
@@ -27,7 +27,8 @@ TEXTS = {
         "neighbours, one sample away, were learned from: these errors say little about another "
         "motion.",
         "Only the split is the paper's: networks have the settings with which they converge "
-        f"(softplus, loss: {choices.OURS['loss']}, at most {choices.OURS['epochs']} epochs, "
+        f"(softplus, loss: {LAGRANGIAN_CHOICES['loss']}, "
+        f"at most {LAGRANGIAN_CHOICES['epochs']} epochs, "
         "and the dissipative network twice so many, at two rates), not the printed ones; "
         f" those are in the row “{ROWS[LITERAL].words}”, if it was asked for.",
     ),

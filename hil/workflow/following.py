@@ -12,7 +12,7 @@ from hil.core.errors import DataError, Rejected
 from hil.core.live_lock import is_live
 from hil.evaluation.run_verdict import verdict_word
 from hil.recording.rundir import RunDirectory
-from hil.runs.listing import list_runs
+from hil.runs.listing import run_listings
 from hil.workflow.live_state import read_live
 
 LOOK_EVERY_S = 0.2
@@ -111,7 +111,7 @@ def newest_live(runs: Path) -> Path:
     Raises:
         DataError: No run is live.
     """
-    live = [listing.path for listing in list_runs(runs) if listing.status == "running"]
+    live = [listing.path for listing in run_listings(runs) if listing.status == "running"]
     if not live:
         raise DataError(f"no run is live under {runs}", hint=f"list them: hil runs --runs {runs}")
     return live[-1]
@@ -123,7 +123,7 @@ def only_live(runs: Path) -> Path:
     Raises:
         DataError: No run is live, or several are.
     """
-    live = [listing.path for listing in list_runs(runs) if listing.status == "running"]
+    live = [listing.path for listing in run_listings(runs) if listing.status == "running"]
     if len(live) > 1:
         named = ", ".join(path.name for path in live)
         raise DataError(f"{len(live)} runs are live: {named}", hint="say which one")

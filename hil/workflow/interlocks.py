@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from hil.arms import is_described, load_arm
-from hil.engine.interlocks import InterlockContext, Interlocks, from_spec
+from hil.engine.interlocks import InterlockContext, Interlocks, interlocks_from_spec
 from hil.planning.experiment import Experiment
 from hil.planning.interlocks import flange_space
 from hil.planning.plan import Plan
@@ -55,4 +55,4 @@ def interlocks_for(
         speed_scaling=(lambda: robot.speed_scaling) if isinstance(robot, HasSpeedScaling) else None,
         clock=can.clock,
     )
-    return from_spec(experiment.spec.interlocks, context)
+    return interlocks_from_spec(experiment.spec.interlocks, context)

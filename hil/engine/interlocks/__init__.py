@@ -6,7 +6,7 @@ be seen is not safe (temperatures excepted, which not every arm measures).
 
 from hil.engine.interlocks.collection import Interlocks, Off
 from hil.engine.interlocks.context import Distances, InterlockContext
-from hil.engine.interlocks.from_spec import from_spec
+from hil.engine.interlocks.from_spec import interlocks_from_spec
 from hil.engine.interlocks.interlock import Action, HasMargin, Interlock, Margin, Trip
 from hil.engine.interlocks.least_distance import LeastDistance
 from hil.engine.interlocks.recording import Backlog, FreeSpace
@@ -28,6 +28,6 @@ __all__ = [
     "SpeedScaling",
     "Threshold",
     "Trip",
-    "from_spec",
+    "interlocks_from_spec",
     "is_slowed",
 ]

@@ -19,7 +19,7 @@ from hil.engine.interlocks.least_distance import LeastDistance
 from hil.engine.interlocks.recording import Backlog, FreeSpace
 from hil.engine.interlocks.speed_scaling import SpeedScaling
 from hil.engine.interlocks.threshold import PerJoint, Threshold
-from hil.spec.interlocks import COOLER_C, KINDS
+from hil.spec.interlocks import COOLER_C, INTERLOCK_KINDS
 
 GROUP = "hil.interlocks"
 MEMBERS = ("name", "action", "check", "clear")
@@ -43,7 +43,9 @@ Build = Callable[[Any, InterlockContext], Interlock | str | Partly]
 """Makes an interlock from its entry in the spec, or says why it does not watch here."""
 
 
-def from_spec(specs: Sequence[Any], context: InterlockContext | None = None) -> Interlocks:
+def interlocks_from_spec(
+    specs: Sequence[Any], context: InterlockContext | None = None
+) -> Interlocks:
     """The interlocks a spec asks for; nothing is started.
 
     A limit that the spec gives must be judgeable on this robot. One that it leaves to the robot or
@@ -178,7 +180,7 @@ def _speed_scaling(spec: Any, context: InterlockContext) -> Interlock | str:
 def _plugged(spec: Any, context: InterlockContext) -> Interlock:
     known = plugins.names(GROUP)
     if spec.kind not in known:
-        hint = did_you_mean(spec.kind, [*KINDS, *known])
+        hint = did_you_mean(spec.kind, [*INTERLOCK_KINDS, *known])
         raise PlanError(f"there is no interlock of kind {spec.kind!r}; {hint}")
     plugin = plugins.load(GROUP, spec.kind)
     try:

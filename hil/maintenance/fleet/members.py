@@ -10,7 +10,7 @@ from pathlib import Path
 import yaml
 
 from hil.core.errors import SpecError
-from hil.core.quick_yaml import bounded
+from hil.core.quick_yaml import require_bounded
 from hil.core.suggest import closest
 from hil.planning.experiment import Experiment, find_station
 from hil.spec.fleet import load_fleet_spec
@@ -71,7 +71,7 @@ def spec_for(text: str, name: str, robot: str) -> str:
         SpecError: It names no robot whose place could be taken.
     """
     try:
-        bounded(text)
+        require_bounded(text)
         document = yaml.compose(text, Loader=yaml.SafeLoader)
     except (ValueError, yaml.YAMLError) as error:
         raise SpecError(f"{name}: {error}", hint="`hil validate` says more") from None

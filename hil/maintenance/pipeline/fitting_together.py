@@ -8,9 +8,9 @@ from math import gcd
 from hil.core.errors import PluginError, SpecError
 from hil.core.source import Path as SourcePath
 from hil.estimators.base import HONEST, estimator
-from hil.models.blocks import BLOCK_S as COMPARED_S
-from hil.models.compare import FEWEST_BLOCKS as FEWEST_COMPARED
-from hil.models.drift.features import BLOCK_S, FEWEST_BLOCKS
+from hil.models.blocks import BLOCK_S
+from hil.models.compare import FEWEST_BLOCKS
+from hil.models.drift.features import DRIFT_BLOCK_S, FEWEST_DRIFT_BLOCKS
 from hil.planning.experiment import Experiment
 from hil.spec.experiment import ExperimentSpec, Fit, Fourier
 from hil.spec.schedule import ScheduleSpec
@@ -118,11 +118,12 @@ def _says_enough(probe: ExperimentSpec) -> Iterator[Finding]:
     if not isinstance(program, Fourier):
         return
     each_s = program.periods / program.fundamental_hz
-    if program.trajectories * max(1, round(each_s / BLOCK_S)) < FEWEST_BLOCKS:
+    if program.trajectories * max(1, round(each_s / DRIFT_BLOCK_S)) < FEWEST_DRIFT_BLOCKS:
         yield (
             ("probe", "spec"),
             f"{program.trajectories} trajectories of {each_s:g} s say too little: "
-            f"make them {FEWEST_BLOCKS * BLOCK_S:g} s together, by more excitation.trajectories",
+            f"make them {FEWEST_DRIFT_BLOCKS * DRIFT_BLOCK_S:g} s together, by more "
+            "excitation.trajectories",
         )
 
 
@@ -136,12 +137,12 @@ def _compares_enough(campaign: ExperimentSpec, probe: ExperimentSpec | None) -> 
     count = _places(program, motions or program.trajectories)
     if probe is not None and isinstance(probe.excitation, Fourier):
         count += _places(probe.excitation, probe.excitation.trajectories)
-    if count < FEWEST_COMPARED:
+    if count < FEWEST_BLOCKS:
         beside = " and the probe" if probe is not None else ""
         yield (
             ("campaign", "spec"),
             f"what {campaign.name} holds out{beside} makes {count} different blocks of "
-            f"{COMPARED_S:g} s to compare two models on, and {FEWEST_COMPARED} are needed: raise "
+            f"{BLOCK_S:g} s to compare two models on, and {FEWEST_BLOCKS} are needed: raise "
             "validate.hold_out.trajectories",
         )
 
@@ -149,7 +150,7 @@ def _compares_enough(campaign: ExperimentSpec, probe: ExperimentSpec | None) -> 
 def _places(program: Fourier, trajectories: int) -> int:
     """Blocks of a comparison at different places: the next period comes by the same ones."""
     each_s = program.periods / program.fundamental_hz
-    count = max(1, round(each_s / COMPARED_S))
+    count = max(1, round(each_s / BLOCK_S))
     return trajectories * (count // gcd(count, program.periods))
 
 

@@ -29,8 +29,8 @@ JOINT_FEATURES = ("friction", "gain", "offset")
 LOAD_FEATURES = ("mass", "mass·x", "mass·y", "mass·z")
 UNITS = {"friction": "1", "gain": "1", "mass": "kg"} | dict.fromkeys(LOAD_FEATURES[1:], "kg·m")
 
-BLOCK_S = 5.0
-FEWEST_BLOCKS = 4
+DRIFT_BLOCK_S = 5.0
+FEWEST_DRIFT_BLOCKS = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,10 +126,11 @@ def features_of(model: RobotEstimator, data: Dataset) -> Features:
     X *= weights[:, :, None]
     y = np.where(valid, residual, 0.0) * weights
     sums = [(_gram(X[rows]), _moment(X[rows], y[rows])) for rows in _blocks(data)]
-    if len(sums) < FEWEST_BLOCKS:
+    if len(sums) < FEWEST_DRIFT_BLOCKS:
         raise DataError(
-            f"a probe of {len(sums)} blocks of {BLOCK_S:.0f} s says too little",
-            hint=f"probe with trajectories of at least {FEWEST_BLOCKS * BLOCK_S:.0f} s together",
+            f"a probe of {len(sums)} blocks of {DRIFT_BLOCK_S:.0f} s says too little",
+            hint="probe with trajectories of at least "
+            f"{FEWEST_DRIFT_BLOCKS * DRIFT_BLOCK_S:.0f} s together",
         )
     n = len(model.joint_names_)
     values, std, response, blocks = _estimated(sums, n)
@@ -164,12 +165,12 @@ def _smooth(data: Dataset, name: str) -> FloatArray:
 
 
 def _blocks(data: Dataset) -> Iterator[slice]:
-    """Rows of about `BLOCK_S`, never over the end of a series."""
+    """Rows of about `DRIFT_BLOCK_S`, never over the end of a series."""
     for _, rows in data.slices():
         if rows.stop - rows.start < 2:
             continue
         t = data["t"][rows]
-        count = max(1, round(float(t[-1] - t[0]) / BLOCK_S))
+        count = max(1, round(float(t[-1] - t[0]) / DRIFT_BLOCK_S))
         edges = np.linspace(rows.start, rows.stop, count + 1).round().astype(int)
         yield from (slice(a, b) for a, b in pairwise(edges))
 

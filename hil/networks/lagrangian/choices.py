@@ -26,7 +26,7 @@ PROTOCOLS = ("ours", "paper")
 LEARNING = ("hybrid", "joint")
 DIRECTIONS = ("smooth", "dahl")
 
-OURS: Mapping[str, Any] = {"loss": "mae", "epochs": 60}
+LAGRANGIAN_CHOICES: Mapping[str, Any] = {"loss": "mae", "epochs": 60}
 """Where training differs from its defaults, the same for every friction. By the error on held-out
 trajectories of a simulated UR5, in torque deviations, SMAPE with a floor, Huber's loss and the
 absolute error give .140/.129/.132 with Stribeck friction, .150/.147/.146 with Coulomb's and
@@ -123,7 +123,9 @@ def training_settings(
         SpecError: A setting is unknown or cannot be.
     """
     paper = protocol == "paper"
-    start = TrainingSettings.literal() if paper else TrainingSettings.model_validate(OURS)
+    start = (
+        TrainingSettings.literal() if paper else TrainingSettings.model_validate(LAGRANGIAN_CHOICES)
+    )
     given = start.model_dump() | {"loops": loops, "seed": seed} | dict(changed)
     training = settings("training", given, TrainingSettings)
     require_groups("training.group_rates has", training.group_rates, (DYNAMICS, FRICTION))
