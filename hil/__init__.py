@@ -32,8 +32,8 @@ if TYPE_CHECKING:
         study,
         try_out,
     )
-    from hil.planning.experiment import Experiment
-    from hil.runs.view import find_runs
+    from hil.planning import Experiment
+    from hil.runs import find_runs
 
 __version__ = "0.1.0"
 

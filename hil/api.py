@@ -19,28 +19,32 @@ from operator import index
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from hil.control.trial.settings import FRICTION_SHARE
-from hil.core.errors import DataError, SpecError
-from hil.data.dataset import Dataset
+from hil.control import FRICTION_SHARE
+from hil.core import DataError, SpecError
+from hil.data import Dataset
 from hil.engine import Observer
-from hil.planning.experiment import Experiment, load_experiment
-from hil.planning.plan import Plan
-from hil.runs.summary import describe_run, list_runs
-from hil.runs.view import find_runs
-from hil.workflow.confirmation import Confirm, Granted, Unconfirmed
-from hil.workflow.desk import Desk, console_desk
-from hil.workflow.run import RunReport, resume_experiment, run_experiment
+from hil.planning import Experiment, Plan, load_experiment
+from hil.runs import describe_run, find_runs, list_runs
+from hil.workflow import (
+    Confirm,
+    Desk,
+    Granted,
+    RunReport,
+    Unconfirmed,
+    console_desk,
+    resume_experiment,
+    run_experiment,
+)
 
 if TYPE_CHECKING:
-    from hil.arms.payload import Payload
-    from hil.control.rest_report import RestReport
-    from hil.control.trial.result import Trial
-    from hil.estimators.payload_estimate import PayloadEstimate
-    from hil.evaluation.fitting import FitReport
-    from hil.export.targets import Written
-    from hil.models.registry import Registry
-    from hil.networks.training_loop.problem import Watch
-    from hil.studies.result import StudyResult
+    from hil.arms import Payload
+    from hil.control import RestReport, Trial
+    from hil.estimators import PayloadEstimate
+    from hil.evaluation import FitReport
+    from hil.export import Written
+    from hil.models import Registry
+    from hil.networks import Watch
+    from hil.studies import StudyResult
 
 __all__ = [
     "AnyPath",
@@ -136,8 +140,8 @@ def plan(experiment: Experiment, *, connect: bool = False) -> Plan:
         PlanError: No safe plan follows from the spec.
         RobotError: The robot cannot be asked where it stands, or another process holds it.
     """
-    from hil.report.plan_in_notebook import plan_card  # noqa: F401  the card of a plan in a notebook has its picture
-    from hil.workflow.preview import planned
+    from hil.report import plan_card  # noqa: F401  the card of a plan in a notebook has its picture
+    from hil.workflow import planned
 
     with planned(_loaded(experiment), connect=connect) as (_, made, _):
         return made
@@ -255,7 +259,7 @@ def study(
         DataError, FitError: The run does not allow it; studies beside it have been made.
     """
     from hil.report import render_report
-    from hil.workflow.studies import entries_for, run_studies, unwatched
+    from hil.workflow import entries_for, run_studies, unwatched
 
     folder = _path(run)
     given = _mapping(parameters, "parameters", "{'seed': 3}")
@@ -285,7 +289,7 @@ def figures(
         DataError: There is no figure, or a study or the page is damaged.
         SpecError: There is no such format or width.
     """
-    from hil.report.paper import write_papers
+    from hil.report import write_papers
 
     return write_papers(_path(run), _path(out), formats=formats, width=width)
 
@@ -321,8 +325,8 @@ def fit(
             which they take it up again.
         watch: Told every epoch of such a training.
     """
-    from hil.estimators.gains_file import read_gains
-    from hil.evaluation.fitting import fit_sources
+    from hil.estimators import read_gains
+    from hil.evaluation import fit_sources
 
     held_out, given = _paths(validate), _mapping(parameters, "parameters", "{'weighted': True}")
     if taken := sorted(given.keys() & signature(fit_sources).parameters.keys()):
@@ -352,8 +356,8 @@ def fit(
 
 
 def _fit_page(result: FitReport, held_out: Iterable[Path], page: Path) -> None:
-    from hil.evaluation.fitting import usable_part
-    from hil.importers.load import load_source
+    from hil.evaluation import usable_part
+    from hil.importers import load_source
     from hil.report import render_fit_report
 
     model = result.fitted.model
@@ -367,7 +371,7 @@ def evaluate(model: AnyPath, sources: AnyPath | Iterable[AnyPath]) -> list[dict[
     Raises:
         DataError: A source cannot be read, or was among the model's training data.
     """
-    from hil.evaluation.fitting import evaluate_sources
+    from hil.evaluation import evaluate_sources
 
     return evaluate_sources(_path(model), _sources_of(sources))
 
@@ -401,7 +405,7 @@ def estimate_payload(
     """
     from typing import cast
 
-    from hil.evaluation.load_fit import payload_of_sources
+    from hil.evaluation import payload_of_sources
 
     return payload_of_sources(
         _path(model), _paths(sources), cast("Any", friction),
@@ -423,7 +427,7 @@ def dataset(*sources: AnyPath | Iterable[AnyPath]) -> Dataset:
         DataError: None was given, one cannot be read, or they are of different robots.
         SpecError: One is no path.
     """
-    from hil.importers.load import load_source
+    from hil.importers import load_source
 
     return Dataset.concatenate([load_source(source) for source in _sources_of(*sources)])
 
@@ -443,7 +447,7 @@ def export_data(source: AnyPath, out: AnyPath) -> dict[str, Any]:
         PluginError: Parquet without pyarrow.
         RecordingError: A file is there already, or cannot be written.
     """
-    from hil.importers.exporting import export_data as exported
+    from hil.importers import export_data as exported
 
     return exported(_path(source), _path(out)).to_dict()
 
@@ -494,7 +498,7 @@ def registry(folder: AnyPath = "registry") -> Registry:
     Args:
         folder: Made when something is registered.
     """
-    from hil.models.registry import Registry
+    from hil.models import Registry
 
     return Registry(_path(folder))
 
@@ -531,7 +535,7 @@ def reidentify(
         DataError: Another process does the same now.
         HilError: What keeps a stage from its end; the next call goes on there.
     """
-    from hil.maintenance.pipeline.by_hand import run_once
+    from hil.maintenance import run_once
 
     return run_once(
         _path(schedule),
@@ -569,8 +573,8 @@ def export_model(
         RecordingError: The file or folder exists already.
         SpecError: There is no such target, or an option is none of it.
     """
-    from hil.estimators.model_file import load_model_file
-    from hil.export.targets import export_model as export
+    from hil.estimators import load_model_file
+    from hil.export import export_model as export
 
     stored = load_model_file(_path(model))
     return export(stored, _path(out), to, prefix=prefix, unchecked=unchecked)
@@ -607,7 +611,7 @@ def rest_poses(
         SpecError: The robot is another arm, or an argument cannot be.
         PlanError: No pose is within limits and clear.
     """
-    from hil.control.rest_report import find_rest_poses
+    from hil.control import find_rest_poses
 
     return find_rest_poses(
         _path(model),
@@ -655,11 +659,10 @@ def try_out(
         PlanError: There is no clear motion.
         RecordingError: The folder exists, or cannot be written.
     """
-    from hil.control.trial.trial import run_trial
-    from hil.estimators.model_file import json_bytes
-    from hil.export.exported import require_new, write_folder
-    from hil.report.render import page_html
-    from hil.report.try_out_page import TRY_OUT_FILE, trial_page
+    from hil.control import run_trial
+    from hil.estimators import json_bytes
+    from hil.export import require_new, write_folder
+    from hil.report import TRY_OUT_FILE, page_html, trial_page
 
     folder = _path(out)
     require_new(folder)
@@ -728,8 +731,8 @@ def _payload_of(given: AnyPayload | None) -> Payload | None:
     """
     if given is None:
         return None
-    from hil.arms.payload import Payload
-    from hil.evaluation.fitting import parse_payload
+    from hil.arms import Payload
+    from hil.evaluation import parse_payload
 
     if isinstance(given, Payload):
         read = parse_payload(",".join(f"{number}" for number in (given.mass, *given.com)))
@@ -788,7 +791,7 @@ def _whole(given: int, what: str, least: int) -> int:
 
 def parse_parameters(texts: Iterable[str]) -> dict[str, Any]:
     """`name=value` texts to a dict; values are read as YAML scalars."""
-    from hil.core.yaml_values import scalar
+    from hil.core import scalar
 
     pairs = [text.partition("=") for text in texts]
     for name, equals, _ in pairs:

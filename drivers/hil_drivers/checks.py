@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.errors import CommandRefused
-from hil.core.typing import FloatArray
+from hil.arms import Payload
+from hil.core import CommandRefused, FloatArray
 from hil.robot import Limits, Segment
 
 AT_SET_POINT_RAD = 0.02

@@ -7,8 +7,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import SpecError
-from hil.core.suggest import closest
+from hil.core import SpecError, closest
 
 Range = tuple[float, float]
 

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 from typing import TypeVar
 
-from hil.core.errors import RobotConnectionError
+from hil.core import RobotConnectionError
 
 STARTING_S = 10.0
 """How long a refused loopback connection is tried again: a busy machine takes 6 s to start the

@@ -21,8 +21,7 @@ import numpy as np
 import typer
 
 import hil
-from hil.core.errors import DataError, HilError, SpecError
-from hil.core.notebook import card, number
+from hil.core import DataError, HilError, SpecError, card, number
 from hil.estimators import load_model_file
 
 SURE = 0.99

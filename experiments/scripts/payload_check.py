@@ -19,7 +19,7 @@ from typing import Annotated
 import typer
 
 import hil
-from hil.core.errors import HilError, SpecError
+from hil.core import HilError, SpecError
 from hil.estimators import load_model_file
 
 WRONG, NOT_CHECKED = 10, 20

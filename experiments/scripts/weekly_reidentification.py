@@ -19,7 +19,7 @@ from typing import Annotated, Any
 import typer
 
 import hil
-from hil.core.errors import HilError
+from hil.core import HilError
 
 LOOK = 10
 

@@ -5,27 +5,6 @@ source in the YAML beside this file. Nothing here says what a *particular* robot
 lives in the mock, estimates live in models.
 """
 
-from hil.arms.description import (
-    ArmDescription,
-    Capsule,
-    arm_from_dict,
-    arm_names,
-    is_described,
-    is_description,
-    load_arm,
-)
-from hil.arms.own_file import model_sha256, require_same_arm
-from hil.arms.payload import Payload
+import lazy_loader
 
-__all__ = [
-    "ArmDescription",
-    "Capsule",
-    "Payload",
-    "arm_from_dict",
-    "arm_names",
-    "is_described",
-    "is_description",
-    "load_arm",
-    "model_sha256",
-    "require_same_arm",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -13,9 +13,7 @@ from typing import Any
 import numpy as np
 
 from hil.arms.content import description_sha256
-from hil.core.errors import SpecError
-from hil.core.quick_yaml import look_into
-from hil.core.typing import FloatArray
+from hil.core import FloatArray, SpecError, look_into
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from typing import Any
 
 from hil.arms.content import urdf_sha256
 from hil.arms.description import arm_names, is_description, load_arm
-from hil.core.errors import DataError, SpecError
+from hil.core import DataError, SpecError
 
 
 def model_sha256(model: str) -> str:

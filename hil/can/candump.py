@@ -13,7 +13,7 @@ from types import TracebackType
 from typing import NamedTuple
 
 from hil.can.frame import ERROR, EXTENDED, ID_MASK, REMOTE, Frame
-from hil.core.errors import DataError, RecordingError
+from hil.core import DataError, RecordingError
 
 _LINE = re.compile(
     r"\((?P<time>\d{1,12}\.\d{1,9})\)\s+(?P<channel>\S+)\s+"

@@ -11,9 +11,7 @@ import socket
 from pathlib import Path
 
 from hil.can.paths import private_folder
-from hil.core.errors import PluginError
-from hil.core.held_file import HeldFile, hold
-from hil.core.holder import this_process
+from hil.core import HeldFile, PluginError, hold, this_process
 
 _BACKLOG = 16
 

@@ -8,7 +8,7 @@ import stat
 import tempfile
 from pathlib import Path
 
-from hil.core.errors import PluginError
+from hil.core import PluginError
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
 _LONGEST = 107

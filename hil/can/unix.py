@@ -26,7 +26,7 @@ from hil.can.frame import (
     TX_OVERFLOW,
 )
 from hil.can.paths import named_channels, socket_path
-from hil.core.errors import PluginError
+from hil.core import PluginError
 
 SEND_PATIENCE_S = 1.0
 """How long `send` waits for room unless told: a hub that runs always makes some [s]."""

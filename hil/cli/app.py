@@ -43,15 +43,15 @@ from hil.cli import (
 )
 from hil.cli.output import fold, width_of
 from hil.cli.streams import Stream, guard_streams
-from hil.core.errors import (
+from hil.core import (
     HilError,
     PluginError,
     RecordingError,
     RobotConnectionError,
     Stopped,
     exit_code_of,
+    json_text,
 )
-from hil.core.text import json_text
 
 EXIT_CODES = (
     "Exit codes: 0 done · 2 spec or plan · 3 preflight · 4 robot · 5 interlock · 6 stopped "

@@ -9,14 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hil.cli.live_view import live_view, recorded_capabilities
-from hil.core.errors import Rejected, SpecError
+from hil.core import Rejected, SpecError
 
 if TYPE_CHECKING:
-    from hil.planning.experiment import Experiment
+    from hil.planning import Experiment
     from hil.robot import Capabilities
-    from hil.workflow.arming import Moves, Together
-    from hil.workflow.confirmation import Confirm
-    from hil.workflow.run import RunReport
+    from hil.workflow import Confirm, Moves, RunReport, Together
 
 
 @dataclass(slots=True)
@@ -47,7 +45,7 @@ class Attended:
 
     def confirm_together(self, moves: Moves) -> None:
         """Confirm all robots of a series or a fleet at once; its runs do not ask again."""
-        from hil.workflow.arming import confirm_together
+        from hil.workflow import confirm_together
 
         if self.confirmed is not None:  # it names robot and address itself
             moves.real()
@@ -57,7 +55,7 @@ class Attended:
     def run(self, experiment: Experiment, runs: Path) -> RunReport:
         """Run an experiment."""
         from hil import api
-        from hil.workflow.driver_check import check_driver
+        from hil.workflow import check_driver
 
         robot = check_driver(experiment)
         confirm = self.together.begin(experiment) if self.together else self._confirm()
@@ -66,7 +64,7 @@ class Attended:
     def resume(self, run: Path) -> RunReport:
         """Go on with a run."""
         from hil import api
-        from hil.recording.rundir import RunDirectory
+        from hil.recording import RunDirectory
 
         robot = str(RunDirectory.open(run).start.get("robot_name", ""))
         # In a terminal its facts are shown again where what was confirmed then no longer holds.
@@ -81,7 +79,7 @@ class Attended:
         confirm: Confirm | None,
     ) -> RunReport:
         from hil.cli.progress import ProgressLines
-        from hil.workflow.desk import console_desk
+        from hil.workflow import console_desk
 
         desk = console_desk(
             self.operator,
@@ -100,7 +98,7 @@ class Attended:
 
     def _confirm(self) -> Confirm | None:
         """Return the confirmation that replaces the console's; None for the console."""
-        from hil.workflow.confirmation import Granted, granted_in
+        from hil.workflow import Granted, granted_in
 
         if self.confirmed is not None:
             return granted_in(self.confirmed)

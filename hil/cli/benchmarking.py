@@ -10,7 +10,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import PluginError
+from hil.core import PluginError
 
 FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
 

@@ -13,7 +13,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from hil.core.quick_yaml import look_into
+from hil.core import look_into
 
 MOST = 200
 """Words are offered of the newest runs, and no more files than that are looked into."""
@@ -97,7 +97,7 @@ def arms(given: Given, begun: str) -> list[str]:
 
 def plugins(group: str, begun: str) -> list[str]:
     """Names in a group of plug-ins; none is imported."""
-    from hil.core.plugins import names
+    from hil.core import names
 
     return _beginning(names(group), begun)
 

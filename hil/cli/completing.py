@@ -14,7 +14,7 @@ import typer
 from typer.models import ParameterInfo
 
 from hil.cli import candidates
-from hil.export.targets import TARGETS
+from hil.export import TARGETS
 
 Find = Callable[[candidates.Given, str], list[str]]
 

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from hil.cli.output import JsonFlag, RunsOption, print_json, say
-from hil.core.errors import DataError
+from hil.core import DataError
 
 
 def register(app: typer.Typer) -> None:

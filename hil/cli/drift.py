@@ -42,8 +42,7 @@ def drift(
     json: JsonFlag = False,
 ) -> None:
     """Judge probes against the champion; without any, what was said of those before."""
-    from hil.models.drift.history import assess, probes_of
-    from hil.models.registry import Registry
+    from hil.models import Registry, assess, probes_of
 
     home = Registry(registry)
     if probes:
@@ -53,7 +52,7 @@ def drift(
         home.aliases(name)
         told = probes_of(home, name)
     if page is not None:
-        from hil.report.drift_page import write_drift_page
+        from hil.report import write_drift_page
 
         write_drift_page(home, name, page)
     documents = [probe.to_dict() for probe in told]

@@ -7,7 +7,7 @@ import sys
 import time
 
 from hil.cli.output import duration, fold, width_of
-from hil.excitation.setting import Advance
+from hil.excitation import Advance
 
 EVERY_S = 0.2
 

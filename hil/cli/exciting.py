@@ -22,8 +22,8 @@ from hil.cli.output import (
 from hil.cli.overriding import SetOption, load_with
 
 if TYPE_CHECKING:
-    from hil.excitation.information import Information
-    from hil.planning.excitation_report import ExcitationReport
+    from hil.excitation import Information
+    from hil.planning import ExcitationReport
 
 DEGREES = 180 / math.pi
 MARGINS = {
@@ -58,8 +58,8 @@ def excite(
 ) -> None:
     """Find the trajectories of a spec and show what they are worth; move nothing."""
     from hil.cli.excitation_line import ExcitationLine
-    from hil.report.excite_page import write_excitation_page
-    from hil.workflow.excitation import appraise_excitation
+    from hil.report import write_excitation_page
+    from hil.workflow import appraise_excitation
 
     experiment = load_with(spec, station, set_)
     with ExcitationLine() as line:

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hil.cli.output import JsonFlag, fold, out_width, print_json, print_table
-from hil.core.errors import HilError, SpecError
+from hil.core import HilError, SpecError
 
 if TYPE_CHECKING:
-    from hil.spec.describe import KeyInfo
+    from hil.spec import KeyInfo
 
 EXIT = "exit"
 EXAMPLE = "hil explain excitation.dwell_s"
@@ -53,7 +53,7 @@ def explain(
 
 def _keys(key: str) -> list[KeyInfo]:
     """What a key means; keys that many mappings share in the same words are told once."""
-    from hil.spec.describe import explain_key
+    from hil.spec import explain_key
 
     wanted = key.strip().strip(".")
     if "" in wanted.split(".") or wanted.replace(".", "").isdigit():
@@ -66,7 +66,7 @@ def _keys(key: str) -> list[KeyInfo]:
 
 
 def _told(info: KeyInfo) -> dict[str, Any]:
-    from hil.spec.describe import section_of
+    from hil.spec import section_of
 
     below = [one.path.rpartition(".")[2] for one in _below(info)]
     return {
@@ -85,7 +85,7 @@ def _told(info: KeyInfo) -> dict[str, Any]:
 
 def _below(info: KeyInfo) -> list[KeyInfo]:
     """The keys of the mapping that a key holds, of all its kinds."""
-    from hil.spec.describe import MODELS, keys_below
+    from hil.spec import MODELS, keys_below
 
     known = keys_below(MODELS[info.file])
     above = (info.path, f"{info.path}.<name>")  # entries of a dict have names of their own
@@ -94,7 +94,7 @@ def _below(info: KeyInfo) -> list[KeyInfo]:
 
 def _example(info: KeyInfo) -> str:
     """A line with a key; of a mapping with the first of its keys that has one."""
-    from hil.spec.commented import example_of
+    from hil.spec import example_of
 
     if given := example_of(info):
         return given

@@ -10,8 +10,8 @@ import typer
 from hil.cli.models import ModelArgument, found_model
 from hil.cli.output import JsonFlag, RunsOption, fixed, print_json, print_table, say
 from hil.cli.registry import HERE, RegistryOption
-from hil.core.errors import DataError
-from hil.export.targets import TARGETS
+from hil.core import DataError
+from hil.export import TARGETS
 
 
 def register(app: typer.Typer) -> None:
@@ -57,7 +57,7 @@ def export(
 
 def _folder(named: str, runs: Path, registry: Path) -> Path:
     """Of a model that is there, or else of the champion of that name."""
-    from hil.models.registry import Registry
+    from hil.models import Registry
 
     try:
         return found_model(named, runs)

@@ -16,11 +16,9 @@ from hil.cli.output import JsonFlag, RunsOption, SpecPath, StationOption, print_
 from hil.cli.running import OperatorOption, WaiveOption, YesFlag
 
 if TYPE_CHECKING:
-    from hil.maintenance.fleet.run import FleetReport
-    from hil.maintenance.fleet.workers import Manner
-    from hil.models.fleet_folder import FleetFolder
-    from hil.workflow.arming import Moves
-    from hil.workflow.series import Ended
+    from hil.maintenance import FleetReport, Manner
+    from hil.models import FleetFolder
+    from hil.workflow import Ended, Moves
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -55,12 +53,11 @@ def run(
     json: JsonFlag = False,
 ) -> None:
     """Run an experiment on many robots of a station; its own `robot` is replaced by each."""
-    from hil.core.executor import cores
-    from hil.maintenance.fleet.members import named_in, robots_like, spec_for
-    from hil.maintenance.fleet.workers import Manner
-    from hil.models.fleet_folder import FleetFolder
-    from hil.planning.experiment import find_station
-    from hil.workflow.arming import confirm_together
+    from hil.core import cores
+    from hil.maintenance import Manner, named_in, robots_like, spec_for
+    from hil.models import FleetFolder
+    from hil.planning import find_station
+    from hil.workflow import confirm_together
 
     waived = waivers_of(waive or ())
     bench, _, where = find_station(spec.resolve().parent, station)
@@ -85,12 +82,10 @@ def resume(
     json: JsonFlag = False,
 ) -> None:
     """Go on with a fleet: with runs that ended early, and robots that were not begun."""
-    from hil.core.executor import cores
-    from hil.maintenance.fleet.members import named_in
-    from hil.maintenance.fleet.run import left_of
-    from hil.maintenance.fleet.workers import Manner
-    from hil.models.fleet_folder import FleetFolder
-    from hil.workflow.arming import confirm_together
+    from hil.core import cores
+    from hil.maintenance import Manner, left_of, named_in
+    from hil.models import FleetFolder
+    from hil.workflow import confirm_together
 
     opened, members = FleetFolder.open(folder)
     head, naming = opened.head, opened.head.get("robots")
@@ -106,8 +101,8 @@ def _moves(
     specs: Mapping[str, str], spec: Path, station: str, naming: Path, named: Mapping[str, str]
 ) -> Moves:
     """Return what a fleet moves: the spec as each robot runs it, and the file that names robots."""
-    from hil.maintenance.fleet.members import experiment_for
-    from hil.workflow.arming import Moves
+    from hil.maintenance import experiment_for
+    from hil.workflow import Moves
 
     if not specs:
         return Moves(naming, named, {})
@@ -123,8 +118,8 @@ def _moves(
 
 
 def _run(folder: FleetFolder, members: list[dict[str, Any]], manner: Manner, json: bool) -> None:
-    from hil.engine.signals import ignore_from_now_on
-    from hil.maintenance.fleet.run import run_fleet
+    from hil.engine import ignore_from_now_on
+    from hil.maintenance import run_fleet
 
     def tell(ended: Ended, number: int, total: int) -> None:
         why = f": {ended.error.message}" if ended.error else ""

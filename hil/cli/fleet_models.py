@@ -12,8 +12,8 @@ from hil.cli.output import JsonFlag, RunsOption, print_json, print_table
 from hil.cli.registry import HERE, RegistryOption
 
 if TYPE_CHECKING:
-    from hil.maintenance.fleet.probing import Probed
-    from hil.models.fleet_robot_fit import RobotFit
+    from hil.maintenance import Probed
+    from hil.models import RobotFit
 
 FolderArgument = Annotated[
     Path, typer.Argument(help="Folder of the fleet: RUNS/DAY/fleet/NAME.", show_default=False)
@@ -59,13 +59,8 @@ def fit(
     """Fit every robot by itself, on processes of this computer or a Dask cluster."""
     from hil import api
     from hil.cli.runs import fail
-    from hil.core.dask_cluster import checked_address
-    from hil.core.errors import FitError
-    from hil.core.executor import cores
-    from hil.models.fleet_fit_task import How
-    from hil.models.fleet_fitting import fit_runs
-    from hil.models.fleet_robot_fit import kept, registered
-    from hil.models.registry import Registry
+    from hil.core import FitError, checked_address, cores
+    from hil.models import How, Registry, fit_runs, kept, registered
 
     sources, home = _runs_of(what, runs)
     address = checked_address("--dask", dask or None)
@@ -104,9 +99,9 @@ def drift(
 ) -> None:
     """Judge the runs of a fleet as probes, each against its robot's champion."""
     from hil.cli.runs import fail
-    from hil.core.errors import DataError
-    from hil.maintenance.fleet.probing import probe_fleet
-    from hil.models.registry import Registry
+    from hil.core import DataError
+    from hil.maintenance import probe_fleet
+    from hil.models import Registry
 
     told = probe_fleet(folder, Registry(registry), false_alarm)
     if json:
@@ -134,11 +129,9 @@ def report(
     json: JsonFlag = False,
 ) -> None:
     """Which robots have drifted or stand out; friction over age and temperature."""
-    from hil.core.executor import cores
-    from hil.models.fleet_folder import PAGE
-    from hil.models.fleet_survey import survey_fleet
-    from hil.models.registry import Registry
-    from hil.report.fleet_page import render_fleet, standing_out
+    from hil.core import cores
+    from hil.models import PAGE, Registry, survey_fleet
+    from hil.report import render_fleet, standing_out
 
     survey = survey_fleet(folder, Registry(registry), workers=workers or cores())
     page = render_fleet(survey, out or folder / PAGE)
@@ -184,9 +177,9 @@ class _Count:
 def _runs_of(what: list[str], runs: Path) -> tuple[list[Path], Path]:
     """The runs of a fleet's folder, or runs by path, name or number; and where models go."""
     from hil.cli.models import found
-    from hil.core.errors import DataError
-    from hil.models.fleet_folder import MODELS, FleetFolder, completed, is_fleet_folder
-    from hil.recording.rundir import RunDirectory
+    from hil.core import DataError
+    from hil.models import MODELS, FleetFolder, completed, is_fleet_folder
+    from hil.recording import RunDirectory
 
     if len(what) == 1 and is_fleet_folder(Path(what[0])):
         folder, members = FleetFolder.open(Path(what[0]))

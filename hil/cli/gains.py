@@ -12,7 +12,7 @@ from hil.cli.models import Sources, found
 from hil.cli.output import JsonFlag, RunsOption, print_json, print_table
 
 if TYPE_CHECKING:
-    from hil.evaluation.calibration import GainsMethod
+    from hil.evaluation import GainsMethod
 
 
 def register(app: typer.Typer) -> None:
@@ -42,8 +42,8 @@ def gains(
     """Drive gains [N·m/A] from known loads, or from the controller's own currents and torques."""
     from typing import cast
 
-    from hil.estimators.gains_file import write_gains
-    from hil.evaluation.calibration import gains_of_sources
+    from hil.estimators import write_gains
+    from hil.evaluation import gains_of_sources
 
     result = gains_of_sources(found(sources, runs), robot or None, cast("GainsMethod", method))
     told = result.to_dict()

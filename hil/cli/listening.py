@@ -9,10 +9,10 @@ import typer
 
 from hil.cli.output import JsonFlag, RunsOption, StationOption, duration, print_json
 from hil.cli.runs import fail
-from hil.core.errors import SpecError
+from hil.core import SpecError
 
 if TYPE_CHECKING:
-    from hil.workflow.listened import Listened
+    from hil.workflow import Listened
 
 PROGRAM_STOPS = "program-stops"
 
@@ -44,10 +44,9 @@ def record(
     json: JsonFlag = False,
 ) -> None:
     """Record a robot that somebody else drives; Ctrl-C ends it, too. Nothing is commanded."""
-    from hil.engine.signals import ignore_from_now_on
-    from hil.evaluation.fitting import parse_payload
-    from hil.workflow.listened import Wanted
-    from hil.workflow.listening import listen
+    from hil.engine import ignore_from_now_on
+    from hil.evaluation import parse_payload
+    from hil.workflow import Wanted, listen
 
     wanted = Wanted(
         robot=robot,
@@ -90,7 +89,7 @@ def _until(text: str) -> bool:
 
 def _seconds(text: str) -> float | None:
     """A duration with its unit; None when nothing is said."""
-    from hil.core.units import UNITS, parse_quantity
+    from hil.core import UNITS, parse_quantity
 
     if not text:
         return None

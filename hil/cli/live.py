@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from hil.cli.output import JsonFlag, RunsOption, duration, print_json, print_table
-from hil.core.text import json_text
+from hil.core import json_text
 
 if TYPE_CHECKING:
-    from hil.workflow.robot_status import BenchRobot
-    from hil.workflow.steering import Reaction
+    from hil.workflow import BenchRobot, Reaction
 
 RunChoice = Annotated[
     str,
@@ -48,7 +47,7 @@ def pause(
     json: JsonFlag = False,
 ) -> None:
     """Pause a live run at its next checkpoint; the arm holds, `hil resume` lets it go on."""
-    from hil.workflow.steering import pause_run
+    from hil.workflow import pause_run
 
     path = _chosen(run, runs)
     _tell(pause_run(path, who=operator or _user(), reason=reason, wait_s=wait), json)
@@ -56,7 +55,7 @@ def pause(
 
 def let_go_on(run: Path, operator: str, json: bool) -> None:
     """`hil resume` for a run that is live: it is paused, or has taken no notice of a pause yet."""
-    from hil.workflow.steering import resume_live_run
+    from hil.workflow import resume_live_run
 
     _tell(resume_live_run(run, who=operator or _user()), json)
 
@@ -70,7 +69,7 @@ def stop(
     json: JsonFlag = False,
 ) -> None:
     """Stop a live run now; what was recorded is kept, and `hil resume` can go on with it."""
-    from hil.workflow.steering import stop_run
+    from hil.workflow import stop_run
 
     path = _chosen(run, runs)
     _tell(stop_run(path, who=operator or _user(), reason=reason, wait_s=wait), json)
@@ -87,7 +86,7 @@ def answer(
     json: JsonFlag = False,
 ) -> None:
     """Answer what a live run is asking, such as whether a load is mounted."""
-    from hil.workflow.steering import answer_run
+    from hil.workflow import answer_run
 
     path = _chosen(run, runs)
     _tell(answer_run(path, word == "yes", who=operator or _user(), wait_s=wait), json)
@@ -111,8 +110,8 @@ def watch(
 ) -> None:
     """Follow a live run to its end; Ctrl-C ends the watching, not the run."""
     from hil.cli.watching import WatchLines
-    from hil.runs.listing import find_run
-    from hil.workflow.following import follow, newest_live
+    from hil.runs import find_run
+    from hil.workflow import follow, newest_live
 
     path = find_run(run, runs) if run else newest_live(runs)
     lines = WatchLines(str(path), terminal=not json and sys.stdout.isatty())
@@ -143,7 +142,7 @@ def robots(
     json: JsonFlag = False,
 ) -> None:
     """List the robots of a station, and which process holds each of them."""
-    from hil.workflow.robot_status import bench
+    from hil.workflow import bench
 
     found = bench(station)
     if json:
@@ -154,7 +153,7 @@ def robots(
 
 
 def _row(robot: BenchRobot) -> tuple[str, ...]:
-    from hil.core.holder import plain, since_words
+    from hil.core import plain, since_words
 
     resource = robot.resource or ("private" if not robot.problem else "?")
     held = robot.problem or "nobody"
@@ -170,14 +169,14 @@ def _row(robot: BenchRobot) -> tuple[str, ...]:
 
 
 def _chosen(run: str, runs: Path) -> Path:
-    from hil.runs.listing import find_run
-    from hil.workflow.following import only_live
+    from hil.runs import find_run
+    from hil.workflow import only_live
 
     return find_run(run, runs) if run else only_live(runs)
 
 
 def _user() -> str:
-    from hil.core.holder import user_name
+    from hil.core import user_name
 
     return user_name()
 

@@ -51,8 +51,7 @@ def live_view(
     if not (live or port is not None or host):
         yield ()
         return
-    from hil.engine.live import FoxgloveLive
-    from hil.engine.live.server import LAYOUT, LOOPBACK, is_loopback
+    from hil.engine import LAYOUT, LOOPBACK, FoxgloveLive, is_loopback
 
     host = host or LOOPBACK
     with FoxgloveLive(robot(), host=host, port=port) as view:
@@ -72,8 +71,8 @@ def recorded_capabilities(run: Path) -> Capabilities:
     Raises:
         DataError: It is no run directory, or the document lacks the robot.
     """
-    from hil.core.errors import DataError
-    from hil.recording.rundir import RunDirectory
+    from hil.core import DataError
+    from hil.recording import RunDirectory
     from hil.robot import Capabilities
 
     try:

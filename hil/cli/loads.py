@@ -11,7 +11,7 @@ from hil.cli.models import ModelArgument, Sources, found, found_model
 from hil.cli.output import JsonFlag, RunsOption, fixed, print_json, print_table, say
 from hil.cli.runs import RunArgument
 from hil.cli.studies import make
-from hil.core.errors import SpecError
+from hil.core import SpecError
 
 
 def register(app: typer.Typer) -> None:
@@ -130,7 +130,7 @@ def validate_loads(
     json: JsonFlag = False,
 ) -> None:
     """Errors of models of the bare arm under a run's loads, and each declared load checked."""
-    from hil.runs.listing import find_run
+    from hil.runs import find_run
 
     if model and estimator:
         raise SpecError("--model and --estimator exclude each other", hint="give one of them")

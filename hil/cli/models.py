@@ -12,7 +12,7 @@ import typer
 from hil.cli.output import JsonFlag, RunsOption, print_json, print_table, say
 from hil.cli.runs import RunArgument
 from hil.cli.under_load import print_under_load
-from hil.core.errors import DataError
+from hil.core import DataError
 
 Sources = Annotated[
     list[str],
@@ -141,10 +141,8 @@ def report(
     json: JsonFlag = False,
 ) -> None:
     """Write (again) the HTML report of a run, or the overview of a series."""
-    from hil.report import render_report
-    from hil.report.series_page import render_series
-    from hil.runs.listing import find_run
-    from hil.runs.series_folder import is_series_folder
+    from hil.report import render_report, render_series
+    from hil.runs import find_run, is_series_folder
 
     path = find_run(run, runs)
     page = render_series(path) if is_series_folder(path) else render_report(path)
@@ -156,7 +154,7 @@ def report(
 
 def found(sources: Iterable[str], runs: Path) -> list[Path]:
     """Files and directories as they are given; anything else is a run's name or number."""
-    from hil.runs.listing import find_run
+    from hil.runs import find_run
 
     given = [(text, Path(text)) for text in sources]
     plain = [
@@ -175,7 +173,7 @@ def found_model(named: str, runs: Path) -> Path:
     Raises:
         DataError: There is none, or there are several.
     """
-    from hil.estimators.model_folder import only_model
+    from hil.estimators import only_model
 
     try:
         (path,) = found([named], runs)

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hil.core.errors import SpecError
+from hil.core import SpecError
 
 if TYPE_CHECKING:
-    from hil.planning.experiment import Experiment
+    from hil.planning import Experiment
 
 SetOption = Annotated[
     list[str] | None,
@@ -49,8 +49,7 @@ def load_with(spec: Path, station: Path | None, given: Sequence[str] | None) -> 
     Raises:
         SpecError: As `hil.load`; what is wrong with a value is told at its option.
     """
-    from hil.planning.experiment import load_experiment
-    from hil.planning.station_lookup import passed_over
+    from hil.planning import load_experiment, passed_over
 
     experiment = load_experiment(spec, station, _overrides(given or ()))
     if told := passed_over(experiment.station_source, spec, experiment.spec.robot):

@@ -13,13 +13,20 @@ from hil.cli.excitation_line import ExcitationLine
 from hil.cli.output import duration, fit_ended, fit_words, fold, width_of
 from hil.cli.study_progress import StudyBar
 from hil.cli.training_line import TrainingLine
-from hil.engine.live.standing import ENDING, PAUSED, Standing
-from hil.engine.live.words import answer_words, share_words, state_words, step_words
-from hil.engine.observers import Event
-from hil.engine.preflight.robot_checks import OWN
-from hil.excitation.setting import Advance
-from hil.networks.training_loop.problem import Told
-from hil.studies.base import Ended
+from hil.engine import (
+    ENDING,
+    OWN,
+    PAUSED,
+    Event,
+    Standing,
+    answer_words,
+    share_words,
+    state_words,
+    step_words,
+)
+from hil.excitation import Advance
+from hil.networks import Told
+from hil.studies import Ended
 
 PIPED_EVERY_S = 10.0
 TERMINAL_EVERY_S = 0.1

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hil.cli.output import JsonFlag, RunsOption, print_json, print_table, say, size
-from hil.core.errors import RegistryError, SpecError
+from hil.core import RegistryError, SpecError
 
 if TYPE_CHECKING:
-    from hil.runs.retention import Decision
+    from hil.runs import Decision
 
 HERE = Path("registry")
 
@@ -64,8 +64,7 @@ def prune(
     json: JsonFlag = False,
 ) -> None:
     """Delete old runs, none that a registered model came from; says only which without --yes."""
-    from hil.runs.removal import leftovers, remove
-    from hil.runs.retention import Policy, decide
+    from hil.runs import Policy, decide, leftovers, remove
 
     policy = Policy(tuple(query or ()), _age(older_than), keep, interrupted, recordings_only,
                     older_than)  # fmt: skip
@@ -98,7 +97,7 @@ def known_registries(runs: Path, named: list[Path] | tuple[Path, ...]) -> list[P
     Raises:
         RegistryError: One that is noted is not there.
     """
-    from hil.models.pointers import pointed
+    from hil.models import pointed
 
     given = [*named, *([Path(told)] if (told := os.environ.get("HIL_REGISTRY")) else [])]
     usual = [place for place in (HERE, runs.resolve().parent / HERE) if place.exists()]
@@ -106,7 +105,7 @@ def known_registries(runs: Path, named: list[Path] | tuple[Path, ...]) -> list[P
 
 
 def _age(text: str) -> timedelta | None:
-    from hil.core.durations import duration_of
+    from hil.core import duration_of
 
     try:
         return duration_of(text) if text else None

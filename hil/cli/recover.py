@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from hil.cli.output import JsonFlag, RunsOption, print_json
-from hil.core.errors import exit_code_of
+from hil.core import exit_code_of
 
 
 def register(app: typer.Typer) -> None:
@@ -40,8 +40,8 @@ def recover(
     json: JsonFlag = False,
 ) -> None:
     """Rebuild torn or damaged recordings from all that is whole in them, and say what is lost."""
-    from hil.recording.recover_run import recover as recover_all
-    from hil.runs.listing import find_run
+    from hil.recording import recover as recover_all
+    from hil.runs import find_run
 
     if out is not None and discard:
         raise typer.BadParameter("-o leaves the torn file where it is: without --discard")

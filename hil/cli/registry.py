@@ -9,12 +9,10 @@ import typer
 
 from hil.cli.models import Sources, found
 from hil.cli.output import JsonFlag, RunsOption, print_json, print_table, say
-from hil.core.errors import RegistryError
-from hil.core.text import shell_word
+from hil.core import RegistryError, shell_word
 
 if TYPE_CHECKING:
-    from hil.models.log import Aliases
-    from hil.models.registry import Registry
+    from hil.models import Aliases, Registry
 
 RegistryOption = Annotated[
     Path,
@@ -37,7 +35,7 @@ def register(parent: typer.Typer) -> None:
 @app.command("list")
 def list_models(registry: RegistryOption = HERE, json: JsonFlag = False) -> None:
     """Names, their champions and challengers."""
-    from hil.models.registry import Registry
+    from hil.models import Registry
 
     home = Registry(registry)
     rows = []
@@ -70,7 +68,7 @@ def show(
     json: JsonFlag = False,
 ) -> None:
     """Versions of a name, or all that is known of one."""
-    from hil.models.registry import Registry
+    from hil.models import Registry
 
     home = Registry(registry)
     if version:
@@ -107,8 +105,7 @@ def register_model(
     json: JsonFlag = False,
 ) -> None:
     """Add a model as a version; the same model twice is one version."""
-    from hil.models.facts import facts_of
-    from hil.models.registry import Registry
+    from hil.models import Registry, facts_of
 
     home = Registry(registry)
     version = home.register(name, model, facts_of(model, data or ()), challenger=challenger)
@@ -131,8 +128,7 @@ def compare(
     json: JsonFlag = False,
 ) -> None:
     """Two versions on the same recordings, which neither was fitted to."""
-    from hil.models.compare import compare_sources
-    from hil.models.registry import Registry
+    from hil.models import Registry, compare_sources
 
     home = Registry(registry)
     old, new = home.version(name, against), home.version(name, version)
@@ -168,10 +164,9 @@ def promote(
 
     The first one needs none: there is nothing to compare it with.
     """
-    from hil.core.errors import SpecError
-    from hil.evaluation.verdict import Criterion
-    from hil.models.promotion import challenge, require_promoted
-    from hil.models.registry import Registry
+    from hil.core import SpecError
+    from hil.evaluation import Criterion
+    from hil.models import Registry, challenge, require_promoted
 
     home = Registry(registry)
     if not on and (max_rmse is not None or home.aliases(name).champion):
@@ -203,7 +198,7 @@ def rollback(
     json: JsonFlag = False,
 ) -> None:
     """Make the champion before the present one champion again."""
-    from hil.models.registry import Registry
+    from hil.models import Registry
 
     home = Registry(registry)
     number = home.version(name, to).number if to else 0
@@ -217,7 +212,7 @@ def rollback(
 @app.command()
 def log(name: NameArgument, registry: RegistryOption = HERE, json: JsonFlag = False) -> None:
     """What was done to a name's versions, when, by whom and why."""
-    from hil.models.registry import Registry
+    from hil.models import Registry
 
     entries = Registry(registry).log(name)
     if json:
@@ -235,7 +230,7 @@ def check(registry: RegistryOption = HERE, json: JsonFlag = False) -> None:
 
     Nothing is written for a damaged name.
     """
-    from hil.models.registry import Registry
+    from hil.models import Registry
 
     home, problems = Registry(registry), list[RegistryError]()
     rows = []
@@ -267,8 +262,7 @@ def repair(
 
     Copies of the old files stay beside it, in a folder damaged-TIME. A sound log is not changed.
     """
-    from hil.models.log import LOG_FILE
-    from hil.models.registry import Registry
+    from hil.models import LOG_FILE, Registry
 
     home = Registry(registry)
     done = home.repair(name)
@@ -301,7 +295,7 @@ def repair(
 
 def _roles(home: Registry, name: str) -> tuple[Aliases, RegistryError | None]:
     """Return the roles and the problem of the log; with a problem the roles are unknown."""
-    from hil.models.log import Aliases
+    from hil.models import Aliases
 
     problem = home.problem(name)
     return (Aliases() if problem else home.aliases(name)), problem

@@ -12,8 +12,8 @@ from hil.cli.output import print_json, print_table, print_warnings, say
 
 def validate_schedule(path: Path, station: Path | None, json: bool) -> None:
     """Check a schedule with everything it names; all problems at once."""
-    from hil.maintenance.pipeline.bound import bind_file
-    from hil.workflow.extras import missing_extras
+    from hil.maintenance import bind_file
+    from hil.workflow import missing_extras
 
     bound = bind_file(path, station)
     missing = dict.fromkeys(told for one in bound.experiments for told in missing_extras(one.spec))
@@ -64,7 +64,7 @@ def run_schedule(
     """
     from hil import api
     from hil.cli.progress import ProgressLines
-    from hil.engine.signals import ignore_from_now_on
+    from hil.engine import ignore_from_now_on
 
     told = api.reidentify(
         path, station=station, runs=runs, registry=registry, state=state, campaign=campaign,

@@ -25,8 +25,8 @@ def replay(
     json: JsonFlag = False,
 ) -> None:
     """Make the recording of a run anew from a log of its bus, in a run directory of its own."""
-    from hil.runs.listing import find_run
-    from hil.workflow.replaying import replay as replayed_from
+    from hil.runs import find_run
+    from hil.workflow import replay as replayed_from
 
     found = replayed_from(find_run(run, runs), log, runs)
     if json:

@@ -10,11 +10,10 @@ import typer
 
 from hil.cli.models import ModelArgument, found_model
 from hil.cli.output import JsonFlag, RunsOption, fold, out_width, print_json, print_table
-from hil.core.errors import SpecError
+from hil.core import SpecError
 
 if TYPE_CHECKING:
-    from hil.control.rest_pose import RestPose
-    from hil.control.rest_report import RestReport
+    from hil.control import RestPose, RestReport
 
 LABEL_WIDTH = 15
 NUMBER_WIDTH = 7

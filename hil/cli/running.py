@@ -17,10 +17,10 @@ from hil.cli.overriding import FirstOption, SetOption, SpeedOption, load_with, r
 from hil.cli.registry import HERE, RegistryOption
 from hil.cli.runs import RunArgument, fail, tell_run
 from hil.cli.simulating import SimulateOption, simulate_schedule
-from hil.core.errors import SpecError
+from hil.core import SpecError
 
 if TYPE_CHECKING:
-    from hil.workflow.run import RunReport
+    from hil.workflow import RunReport
 
 OperatorOption = Annotated[str, typer.Option("--operator", help="Who is at the robot; recorded.")]
 WaiveOption = Annotated[
@@ -107,10 +107,9 @@ def run(
     json: JsonFlag = False,
 ) -> None:
     """Run an experiment, a series, or once what a schedule is about: from plan to report."""
-    from hil.engine.signals import ignore_from_now_on
-    from hil.planning.commissioning import commissioning_of
-    from hil.spec.schedule import is_schedule
-    from hil.spec.series import is_series
+    from hil.engine import ignore_from_now_on
+    from hil.planning import commissioning_of
+    from hil.spec import is_schedule, is_series
 
     if is_schedule(spec):
         refuse_set(set_, "a schedule")
@@ -189,10 +188,9 @@ def resume(
     json: JsonFlag = False,
 ) -> None:
     """Go on with a run: one that ended early in a new attempt, one that is paused where it is."""
-    from hil.core.live_lock import is_live
-    from hil.engine.signals import ignore_from_now_on
-    from hil.runs.listing import find_run
-    from hil.runs.series_folder import is_series_folder
+    from hil.core import is_live
+    from hil.engine import ignore_from_now_on
+    from hil.runs import find_run, is_series_folder
 
     path = find_run(run, runs)
     views = (live, live_port, live_host)

@@ -18,8 +18,7 @@ from hil.cli.output import (
     print_table,
     say,
 )
-from hil.core.errors import DataError, HilError, exit_code_of
-from hil.core.text import shell_word
+from hil.core import DataError, HilError, exit_code_of, shell_word
 
 RunArgument = Annotated[
     str,
@@ -47,7 +46,7 @@ def fail(error: HilError, json: bool) -> None:
 
 def tell_run(run: Path) -> None:
     """The summary of a run, as wide as the terminal; in a pipe as everywhere."""
-    from hil.report.text import WIDTH, summary_lines
+    from hil.report import WIDTH, summary_lines
 
     for line in summary_lines(run, max(40, min(WIDTH, out_width() or WIDTH))):
         typer.echo(line)
@@ -71,11 +70,11 @@ def runs(
 ) -> None:
     """List run directories, newest last; interrupted and damaged ones too."""
     if query or rebuild:
-        from hil.runs.view import find_runs
+        from hil.runs import find_runs
 
         entries, table = find_runs(*(query or ()), runs=runs, rebuild=rebuild), _found
     else:
-        from hil.runs.summary import list_runs
+        from hil.runs import list_runs
 
         entries, table = list_runs(runs), partial(_listed, runs=runs)
     if json:
@@ -110,7 +109,7 @@ _ABOUT_A_RUN = ("hil resume ", "hil report ")
 
 def _short(commands: Sequence[str], paths: Sequence[Path], runs: Path) -> list[str]:
     """Return the commands with the number of the run, which is in the first column, if unique."""
-    from hil.recording.numbering import number_of
+    from hil.recording import number_of
 
     numbers = [number_of(path) for path in paths]
     elsewhere = "" if runs == Path("runs") else f" --runs {shell_word(runs)}"
@@ -153,8 +152,8 @@ def show(
 ) -> None:
     """Show one run: what it was, how it ended, what its models are worth."""
     from hil import api
-    from hil.recording.rundir import RunDirectory
-    from hil.runs.listing import find_run
+    from hil.recording import RunDirectory
+    from hil.runs import find_run
 
     path = find_run(run, runs)
     problems = RunDirectory.open(path).verify() if verify else []

@@ -20,11 +20,11 @@ from hil.cli.output import (
 from hil.cli.registry import HERE, RegistryOption
 from hil.cli.running import OperatorOption
 from hil.cli.schedule_words import SHOWN, held_words, next_words, print_ledger, print_plan, words
-from hil.core.errors import DataError, HilError, SpecError
+from hil.core import DataError, HilError, SpecError
 
 if TYPE_CHECKING:
-    from hil.maintenance.schedule.ledger import Ledger
-    from hil.spec.schedule import ScheduleSpec
+    from hil.maintenance import Ledger
+    from hil.spec import ScheduleSpec
 
 FileArgument = Annotated[Path, typer.Argument(help="Schedule (YAML).", show_default=False)]
 StateOption = Annotated[
@@ -55,18 +55,21 @@ def run(
     station: StationOption = None,
 ) -> None:
     """Do what is due whenever it is, until Ctrl-C or SIGTERM."""
-    from hil.maintenance.pipeline.bound import bind_file
-    from hil.maintenance.pipeline.reidentify import reidentification
-    from hil.maintenance.schedule.clocks import WallClock
-    from hil.maintenance.schedule.curfew import curfew
-    from hil.maintenance.schedule.ledger import kept
-    from hil.maintenance.schedule.loop import Scheduler
-    from hil.maintenance.schedule.motions import Motions, motions, require_room
-    from hil.maintenance.schedule.notify import Command
-    from hil.maintenance.schedule.preconditions import RobotReady
-    from hil.models.registry import Registry
-    from hil.workflow.arming import require_armed
-    from hil.workflow.extras import require_extras
+    from hil.maintenance import (
+        Command,
+        Motions,
+        RobotReady,
+        Scheduler,
+        WallClock,
+        bind_file,
+        curfew,
+        kept,
+        motions,
+        reidentification,
+        require_room,
+    )
+    from hil.models import Registry
+    from hil.workflow import require_armed, require_extras
 
     bound = bind_file(file, station)
     for experiment in bound.experiments:
@@ -117,8 +120,8 @@ def arm(
 
     Repeat it after a change of the file, an experiment, or the robot's entry in the station.
     """
-    from hil.maintenance.pipeline.bound import bind_file
-    from hil.workflow.arming import arm as arm_moves
+    from hil.maintenance import bind_file
+    from hil.workflow import arm as arm_moves
 
     bound = bind_file(file, station)
     folder = _state(bound.spec, state)
@@ -151,10 +154,7 @@ def plan(
     json: JsonFlag = False,
 ) -> None:
     """What would happen when, if nothing is found; does nothing."""
-    from hil.maintenance.pipeline.bound import bind_file
-    from hil.maintenance.schedule.forecast import forecast
-    from hil.maintenance.schedule.ledger import Ledger
-    from hil.maintenance.schedule.motions import motions, require_room
+    from hil.maintenance import Ledger, bind_file, forecast, motions, require_room
 
     bound, now = bind_file(file, station), datetime.now(UTC)
     spec = bound.spec
@@ -187,10 +187,9 @@ def plan(
 @app.command()
 def show(file: FileArgument, state: StateOption = None, json: JsonFlag = False) -> None:
     """What was done, and what was not and why; what is due next."""
-    from hil.core.held_file import holder_of
-    from hil.maintenance.schedule.holding import ahead
-    from hil.maintenance.schedule.ledger import LOCK
-    from hil.workflow.arming import read_armed
+    from hil.core import holder_of
+    from hil.maintenance import LOCK, ahead
+    from hil.workflow import read_armed
 
     spec, folder, ledger = _led(file, state)
     zone, now, standing = ZoneInfo(spec.timezone), datetime.now(UTC), ledger.standing
@@ -220,7 +219,7 @@ def show(file: FileArgument, state: StateOption = None, json: JsonFlag = False) 
 @app.command()
 def hold(file: FileArgument, reason: ReasonOption, state: StateOption = None) -> None:
     """Let nothing begin until it is released; what is under way comes to its end."""
-    from hil.maintenance.schedule.holding import hold as hold_ledger
+    from hil.maintenance import hold as hold_ledger
 
     spec, _, ledger = _begun(file, state)
     say(words(hold_ledger(ledger, datetime.now(UTC), reason), ZoneInfo(spec.timezone)))
@@ -229,8 +228,8 @@ def hold(file: FileArgument, reason: ReasonOption, state: StateOption = None) ->
 @app.command()
 def release(file: FileArgument, reason: ReasonOption, state: StateOption = None) -> None:
     """Let a schedule go on that is held; somebody has looked at the robot."""
-    from hil.maintenance.schedule.choosing import choose
-    from hil.maintenance.schedule.holding import release as release_ledger
+    from hil.maintenance import choose
+    from hil.maintenance import release as release_ledger
 
     spec, _, ledger = _begun(file, state)
     zone, now = ZoneInfo(spec.timezone), datetime.now(UTC)
@@ -256,8 +255,7 @@ def systemd(
     json: JsonFlag = False,
 ) -> None:
     """Write units that run it, with the paths of these options; installs nothing."""
-    from hil.maintenance.pipeline.bound import bind_file
-    from hil.maintenance.schedule.systemd import next_words, units_of, write_units
+    from hil.maintenance import bind_file, next_words, units_of, write_units
 
     spec = bind_file(file, station).spec
     arguments = [str(file.resolve())]
@@ -286,8 +284,8 @@ def _armed_words(armed: dict[str, Any]) -> str:
 
 def _armed_now(armed: dict[str, Any] | None, file: Path) -> str:
     """Return whether a schedule is armed, and what has changed since."""
-    from hil.maintenance.pipeline.bound import bind_file
-    from hil.workflow.arming import changed_since
+    from hil.maintenance import bind_file
+    from hil.workflow import changed_since
 
     if armed is None:
         return f"not armed: hil schedule arm {file}"
@@ -307,8 +305,8 @@ def _state(spec: ScheduleSpec, given: Path | None) -> Path:
 
 def _led(file: Path, state: Path | None) -> tuple[ScheduleSpec, Path, Ledger]:
     """The schedule, the folder of its state, and what became of everything."""
-    from hil.maintenance.schedule.ledger import Ledger
-    from hil.spec.schedule import load_schedule_spec
+    from hil.maintenance import Ledger
+    from hil.spec import load_schedule_spec
 
     spec = load_schedule_spec(file)
     folder = _state(spec, state)
@@ -329,7 +327,7 @@ def _begun(file: Path, state: Path | None) -> tuple[ScheduleSpec, Path, Ledger]:
 
 def _coming(spec: ScheduleSpec, ledger: Ledger, now: datetime) -> datetime | None:
     """When something is due next that is not settled."""
-    from hil.maintenance.schedule.times import occasions
+    from hil.maintenance import occasions
 
     standing = ledger.standing
     after = max(now, standing.until or now)

@@ -10,9 +10,8 @@ from zoneinfo import ZoneInfo
 from hil.cli.output import duration, print_table, say
 
 if TYPE_CHECKING:
-    from hil.maintenance.schedule.forecast import Expected
-    from hil.maintenance.schedule.ledger import Line
-    from hil.spec.schedule import ScheduleSpec
+    from hil.maintenance import Expected, Line
+    from hil.spec import ScheduleSpec
 
 
 SHOWN = 40

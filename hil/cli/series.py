@@ -11,15 +11,12 @@ import typer
 
 from hil.cli.output import duration, print_json, print_table, print_warnings, size
 from hil.cli.runs import fail, tell_run
-from hil.core.errors import HilError
+from hil.core import HilError
 
 if TYPE_CHECKING:
-    from hil.planning.commissioning import Commissioning
-    from hil.planning.experiment import Experiment
-    from hil.runs.series_folder import SeriesFolder
-    from hil.workflow.arming import Moves
-    from hil.workflow.run import RunReport
-    from hil.workflow.series import Series, SeriesReport
+    from hil.planning import Commissioning, Experiment
+    from hil.runs import SeriesFolder
+    from hil.workflow import Moves, RunReport, Series, SeriesReport
 
 Document = dict[str, Any]
 Outcome = tuple[Document, HilError | None]
@@ -30,10 +27,7 @@ Resume = Callable[[Path], "RunReport"]
 
 def validate_series(path: Path, station: Path | None, json: bool) -> None:
     """Check a series with everything it names; all problems at once."""
-    from hil.workflow.arming import Moves
-    from hil.workflow.driver_check import check_driver
-    from hil.workflow.extras import missing_extras
-    from hil.workflow.series import load_series
+    from hil.workflow import Moves, check_driver, load_series, missing_extras
 
     series = load_series(path, station)
     for experiment in series.experiments:
@@ -59,8 +53,7 @@ def plan_series(
 ) -> None:
     """What each experiment of a series would do, and how long all of them take."""
     from hil.cli.excitation_line import ExcitationLine
-    from hil.workflow.preview import preview_experiment
-    from hil.workflow.series import load_series
+    from hil.workflow import load_series, preview_experiment
 
     told = []
     for each in load_series(path, station).experiments:
@@ -107,11 +100,8 @@ def run_series(
         json: Whether to print one document and nothing else.
         confirm: Confirms all robots at once.
     """
-    from hil.runs.series_folder import SeriesFolder
-    from hil.workflow.arming import Moves
-    from hil.workflow.driver_check import check_driver
-    from hil.workflow.extras import require_extras
-    from hil.workflow.series import load_series
+    from hil.runs import SeriesFolder
+    from hil.workflow import Moves, check_driver, load_series, require_extras
 
     series = load_series(path, station)
     for experiment in series.experiments:
@@ -142,9 +132,8 @@ def resume_series(
         json: Whether to print one document and nothing else.
         confirm: Confirms all robots that are left at once.
     """
-    from hil.runs.series_folder import SeriesFolder
-    from hil.workflow.arming import Moves
-    from hil.workflow.series import load_series, not_begun, nothing_left
+    from hil.runs import SeriesFolder
+    from hil.workflow import Moves, load_series, not_begun, nothing_left
 
     folder, before = SeriesFolder.open(path)
     station = folder.head.get("station")
@@ -175,7 +164,7 @@ def _places(experiments: Iterable[Experiment]) -> dict[str, Experiment]:
 def _tell_done(
     series: Series, folder: SeriesFolder, before: list[Document], execute: Execute, json: bool
 ) -> None:
-    from hil.workflow.series import run_series
+    from hil.workflow import run_series
 
     report = run_series(series, folder, execute, before)
     if json:
@@ -187,8 +176,8 @@ def _tell_done(
 def _run(
     series: Series, folder: SeriesFolder, before: list[Document], execute: Execute, json: bool
 ) -> None:
-    from hil.engine.signals import ignore_from_now_on
-    from hil.workflow.series import run_series
+    from hil.engine import ignore_from_now_on
+    from hil.workflow import run_series
 
     number = {each.spec.name: i for i, each in enumerate(series.experiments, 1)}
 

@@ -67,9 +67,8 @@ def serve(
 
     if missing := plugins.absent_modules("web"):
         raise plugins.not_installed("the dashboard", missing, "web")
-    from hil.dashboard.serving import listen
-    from hil.dashboard.serving import serve as serve_there
-    from hil.dashboard.settings import Settings, is_loopback
+    from hil.dashboard import Settings, is_loopback, listen
+    from hil.dashboard import serve as serve_there
 
     given = os.environ.get("HIL_TOKEN", "")
     token = given if is_loopback(host) else _token_for_all(given)
@@ -93,7 +92,7 @@ def _offered(given: Path | None) -> Path:
     Raises:
         SpecError: It is none.
     """
-    from hil.core.errors import SpecError
+    from hil.core import SpecError
 
     if given is None:
         return EXPERIMENTS if EXPERIMENTS.is_dir() else Path()
@@ -110,7 +109,7 @@ def _token_for_all(given: str) -> str:
     """
     import secrets
 
-    from hil.core.errors import SpecError
+    from hil.core import SpecError
 
     if given and len(given) < SHORTEST_TOKEN:
         raise SpecError(

@@ -11,7 +11,7 @@ import typer
 
 from hil.cli.output import print_json, print_table
 from hil.cli.runs import fail
-from hil.core.errors import HilError, SpecError
+from hil.core import HilError, SpecError
 
 WEEK_MIN = 7 * 24 * 60
 
@@ -37,14 +37,13 @@ def simulate_schedule(
         lasting: How long, as people write it.
         json: Whether to print one document and nothing else.
     """
-    from hil.core.files import new_folder
-    from hil.engine.signals import ignore_from_now_on
-    from hil.maintenance.pipeline.bound import bind
-    from hil.maintenance.pipeline.simulation import require_mock, simulate
-    from hil.recording.numbering import name_for_path
-    from hil.report.simulation_page import render_simulation
-    from hil.spec.schedule import load_schedule_spec
-    from hil.workflow.extras import require_extras
+    from hil.core import new_folder
+    from hil.engine import ignore_from_now_on
+    from hil.maintenance import bind, require_mock, simulate
+    from hil.recording import name_for_path
+    from hil.report import render_simulation
+    from hil.spec import load_schedule_spec
+    from hil.workflow import require_extras
 
     spec, duration = load_schedule_spec(path), _duration(lasting)
     bound = bind(spec, station, path)
@@ -70,7 +69,7 @@ def simulate_schedule(
 
 
 def _duration(text: str) -> timedelta:
-    from hil.core.durations import duration_of
+    from hil.core import duration_of
 
     try:
         return duration_of(text)

@@ -20,7 +20,7 @@ from hil.cli.output import (
     size,
 )
 from hil.cli.overriding import FirstOption, SetOption, SpeedOption, load_with, refuse_set
-from hil.core.errors import SpecError
+from hil.core import SpecError
 
 
 def register(app: typer.Typer) -> None:
@@ -37,10 +37,8 @@ def validate(
     json: JsonFlag = False,
 ) -> None:
     """Check a spec, series or schedule and its station; all problems at once, with their places."""
-    from hil.spec.schedule import is_schedule
-    from hil.spec.series import is_series
-    from hil.workflow.driver_check import check_driver
-    from hil.workflow.extras import missing_extras
+    from hil.spec import is_schedule, is_series
+    from hil.workflow import check_driver, missing_extras
 
     if is_schedule(spec):
         refuse_set(set_, "a schedule")
@@ -99,12 +97,11 @@ def plan(
     """Show what `hil run` would do with the same options: steps, ranges, margins; move nothing."""
     _require_svg(picture)
     from hil.cli.excitation_line import ExcitationLine
-    from hil.core.files import json_document, write_replacing
-    from hil.planning.commissioning import commissioning_of
-    from hil.report.plan_figure import plan_picture
-    from hil.spec.series import is_series
-    from hil.workflow.driver_check import check_driver
-    from hil.workflow.preview import preview_experiment
+    from hil.core import json_document, write_replacing
+    from hil.planning import commissioning_of
+    from hil.report import plan_picture
+    from hil.spec import is_series
+    from hil.workflow import check_driver, preview_experiment
 
     part = commissioning_of(speed, first)
     if is_series(spec):
@@ -169,16 +166,11 @@ def schema(
 ) -> None:
     """Print the JSON Schema of a spec, station, series, schedule or import map, for editors."""
     if kind == "map":
-        from hil.importers.import_map_schema import map_schema
+        from hil.importers import map_schema
 
         print_json(map_schema())
         return
-    from hil.spec.schema import (
-        experiment_schema,
-        schedule_schema,
-        series_schema,
-        station_schema,
-    )
+    from hil.spec import experiment_schema, schedule_schema, series_schema, station_schema
 
     schemas = {
         "experiment": experiment_schema, "station": station_schema, "series": series_schema,

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hil.cli.output import JsonFlag, print_json, print_table, say
-from hil.core.errors import SpecError
+from hil.core import SpecError
 
 if TYPE_CHECKING:
-    from hil.spec.new import Draft
+    from hil.spec import Draft
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 USUAL_ROBOT = "ur5"
@@ -47,8 +47,8 @@ def new(
     json: JsonFlag = False,
 ) -> None:
     """Begin a spec, a schedule or a station: a valid file with comments; overwrites nothing."""
-    from hil.core.suggest import did_you_mean
-    from hil.spec.new import DRAFT_KINDS, drafts
+    from hil.core import did_you_mean
+    from hil.spec import DRAFT_KINDS, drafts
 
     if list_ or not kind:
         _list(DRAFT_KINDS, json)
@@ -69,7 +69,7 @@ def new(
     notes: list[str] = []
     commands = _next(kind, path)
     if urdf is not None:
-        from hil.planning.custom_arm import can_be_mocked, own_arm_drafts
+        from hil.planning import can_be_mocked, own_arm_drafts
 
         _require_own_name(robot)
         made, notes = own_arm_drafts(urdf, path, robot=robot, name=name)
@@ -104,7 +104,7 @@ def _require_name(option: str, name: str) -> None:
 def _require_own_name(robot: str) -> None:
     """Refuse the name of a built-in robot: where --station is left out that one would be taken."""
     from hil.arms import arm_names
-    from hil.planning.station_lookup import mock_bench
+    from hil.planning import mock_bench
 
     if robot in {*mock_bench().robots, *arm_names()}:
         raise SpecError(
@@ -127,8 +127,8 @@ def _model_of(robot: str) -> tuple[str, list[str]]:
 
 def _unknown_robot(path: Path, robot: str) -> list[str]:
     """What to say where the station that a spec would run at has no such robot."""
-    from hil.core.suggest import did_you_mean
-    from hil.planning.experiment import find_station
+    from hil.core import did_you_mean
+    from hil.planning import find_station
 
     station, _, source = find_station(path.resolve().parent)
     if robot in station.robots:
@@ -139,8 +139,8 @@ def _unknown_robot(path: Path, robot: str) -> list[str]:
 
 def _write(made: list[Draft]) -> list[Path]:
     """Write all files or none, and the schemas that they name where there are none yet."""
-    from hil.core.files import write_replacing
-    from hil.spec.new import require_valid, schemas_beside
+    from hil.core import write_replacing
+    from hil.spec import require_valid, schemas_beside
 
     require_valid(made)
     there = [str(draft.path) for draft in made if draft.path.exists()]

@@ -6,7 +6,7 @@ import os
 import sys
 from typing import Any, TextIO, cast
 
-from hil.core.text import utf8_text
+from hil.core import utf8_text
 
 
 class Stream:

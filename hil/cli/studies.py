@@ -10,10 +10,10 @@ import typer
 
 from hil.cli.output import JsonFlag, RunsOption, duration, print_json, say
 from hil.cli.runs import RunArgument, fail
-from hil.core.errors import Stopped
+from hil.core import Stopped
 
 if TYPE_CHECKING:
-    from hil.workflow.studies import Studied
+    from hil.workflow import Studied
 
 
 def register(app: typer.Typer) -> None:
@@ -36,7 +36,7 @@ def study(
 ) -> None:
     """Make the studies of a run (again), and its report: tables and figures of methods compared."""
     from hil import api
-    from hil.runs.listing import find_run
+    from hil.runs import find_run
 
     make(find_run(run, runs), name, api.parse_parameters(options or ()), json)
 
@@ -45,8 +45,7 @@ def make(path: Path, name: str, parameters: Mapping[str, Any], json: bool) -> No
     """Make the studies of a run directory, or one by name, and tell what they found."""
     from hil.cli.study_progress import StudyBar
     from hil.report import render_report
-    from hil.workflow.studies import entries_for, run_studies
-    from hil.workflow.under_loads import STUDY
+    from hil.workflow import STUDY, entries_for, run_studies
 
     bar = StudyBar()
     entries = entries_for(path, name or None, parameters)
@@ -82,7 +81,7 @@ def figures(
 ) -> None:
     """Write the figures of a run or a page, and tables of studies, as files for papers."""
     from hil import api
-    from hil.runs.listing import find_run
+    from hil.runs import find_run
 
     page = Path(run)
     path = page if page.suffix == ".html" and page.is_file() else find_run(run, runs)

@@ -11,7 +11,7 @@ from hil.cli.output import fit_ended
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-    from hil.studies.base import Ended
+    from hil.studies import Ended
 
 PIPED_EVERY_S = 10.0
 NEWS_EVERY_S = 1.0

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import typer
 
 from hil.cli.output import fold, lines_of, out_width
-from hil.report.study_words import columns_of, is_numeric, protocol_mark
-from hil.studies.result import StudyResult, Table, Value
+from hil.report import columns_of, is_numeric, protocol_mark
+from hil.studies import StudyResult, Table, Value
 
 
 def print_study(result: StudyResult) -> None:

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from hil.cli.output import JsonFlag, print_json, print_table
-from hil.core.errors import PluginError
+from hil.core import PluginError
 
 USUAL_MODEL = "ur5"
 """Of mocks that do not say which arm they usually stand for (attribute `model`)."""
@@ -107,7 +107,7 @@ def doctor(
 
 def plugins(json: JsonFlag = False) -> None:
     """List drivers, estimators, excitations, checks, interlocks and mocks; broken ones and why."""
-    from hil.core.plugins import describe_all
+    from hil.core import describe_all
 
     found = describe_all()
     if json:

@@ -6,9 +6,8 @@ import sys
 import time
 
 from hil.cli.output import duration, width_of
-from hil.core.throttle import Throttle
-from hil.networks.training_loop.curves import sparkline
-from hil.networks.training_loop.problem import Told
+from hil.core import Throttle
+from hil.networks import Told, sparkline
 
 EVERY_S = 0.2
 ALIVE_EVERY_S = 120.0

@@ -10,11 +10,11 @@ import typer
 
 from hil.cli.models import ModelArgument, found_model
 from hil.cli.output import JsonFlag, RunsOption, fold, print_json, width_of
-from hil.control.trial.settings import FRICTION_SHARE, MOST_SEED
-from hil.core.errors import Rejected
+from hil.control import FRICTION_SHARE, MOST_SEED
+from hil.core import Rejected
 
 if TYPE_CHECKING:
-    from hil.control.trial.result import Trial
+    from hil.control import Trial
 
 
 def register(app: typer.Typer) -> None:
@@ -77,7 +77,7 @@ def try_out(
 
 def _print(trial: Trial, report: Path) -> None:
     """Where everything is, and what a reader must know; all tables are on the page."""
-    from hil.control.trial.found import found
+    from hil.control import found
 
     width = width_of(sys.stdout)
     told = found(trial)
@@ -94,7 +94,7 @@ def _require_met(trial: Trial) -> None:
     Raises:
         Rejected: It has.
     """
-    from hil.control.trial.judged import judged
+    from hil.control import judged
 
     if missed := [criterion for criterion in judged(trial) if not criterion.met]:
         asked = ", and ".join(criterion.asked for criterion in missed)

@@ -9,11 +9,9 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from hil.cli.output import duration, fold
-from hil.core.holder import plain
-from hil.engine.live.log_words import MOST, words_of
-from hil.engine.live.standing import ENDING, Standing
-from hil.engine.live.words import share_words, state_words, step_words
-from hil.workflow.live_state import standing_in
+from hil.core import plain
+from hil.engine import ENDING, MOST, Standing, share_words, state_words, step_words, words_of
+from hil.workflow import standing_in
 
 PIPED_EVERY_S = 10.0
 SILENT_AFTER_S = 5.0

@@ -16,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 
 from hil.control.resting import RestingArm
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 
 Outcome = Literal["stays", "held", "tips", "falls"]
 

@@ -13,13 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.arms.payload import Payload
+from hil.arms import Payload
 from hil.control.collision_thresholds import CollisionThresholds
 from hil.control.momentum_observer import MomentumObserver
 from hil.control.rest_margin import RestMargin
-from hil.core.errors import SpecError
-from hil.core.typing import FloatArray
-from hil.estimators.base import RobotEstimator
+from hil.core import FloatArray, SpecError
+from hil.estimators import RobotEstimator
 
 TIME_S = 1e-6
 """Time stamps are no more exact than this."""

@@ -21,12 +21,9 @@ import numpy as np
 
 from hil.control.momentum_observer import GAIN, MomentumObserver
 from hil.control.rest_margin import RestMargin, resting_friction
-from hil.core.errors import FitError, SpecError
-from hil.core.typing import FloatArray
-from hil.data.dataset import Conditions, Dataset
-from hil.estimators.base import RobotEstimator, load_of
-from hil.estimators.conformal import SpeedBands
-from hil.estimators.parameters import number
+from hil.core import FitError, FloatArray, SpecError
+from hil.data import Conditions, Dataset
+from hil.estimators import RobotEstimator, SpeedBands, load_of, number
 
 QUANTILE = 6.0
 """Deviations. Motions without load reach 3.2 on the mock, declared loads and rests need more."""

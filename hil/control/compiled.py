@@ -9,17 +9,21 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.arms.payload import Payload
+from hil.arms import Payload
 from hil.control.sample import HINT, REFUSED, as_sample
-from hil.core.errors import DataError, FitError, PluginError
-from hil.core.typing import FloatArray
-from hil.estimators.base import RobotEstimator
-from hil.export.c_build import built, require_compiler
-from hil.export.c_program import PARTS, c_source
-from hil.export.golden import LOAD, golden_of
-from hil.export.program import Program
-from hil.export.reading import program_of
-from hil.export.tolerances import closeness
+from hil.core import DataError, FitError, FloatArray, PluginError
+from hil.estimators import RobotEstimator
+from hil.export import (
+    LOAD,
+    PARTS,
+    Program,
+    built,
+    c_source,
+    closeness,
+    golden_of,
+    program_of,
+    require_compiler,
+)
 
 FAST = ("-O3", "-march=native", "-fPIC", "-shared")
 

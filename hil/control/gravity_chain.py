@@ -18,12 +18,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.typing import FloatArray
-from hil.dynamics import RobotModel
-from hil.dynamics.inertial import PARAMETERS
-from hil.estimators.base import RobotEstimator
-from hil.estimators.standstill import gravity_torque
+from hil.arms import Payload
+from hil.core import FloatArray
+from hil.dynamics import PARAMETERS, RobotModel
+from hil.estimators import RobotEstimator, gravity_torque
 
 Vector = tuple[float, float, float]
 Rotation = tuple[Vector, Vector, Vector]

@@ -33,13 +33,17 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from hil.arms.payload import Payload
+from hil.arms import Payload
 from hil.control.gravity_chain import GravityChain
 from hil.control.rest_margin import resting_friction
-from hil.core.errors import DataError, FitError, SpecError
-from hil.core.typing import FloatArray
-from hil.estimators.base import RobotEstimator
-from hil.estimators.standstill import at_rest_effort, dry_friction, gravity_torque, knows_torque
+from hil.core import DataError, FitError, FloatArray, SpecError
+from hil.estimators import (
+    RobotEstimator,
+    at_rest_effort,
+    dry_friction,
+    gravity_torque,
+    knows_torque,
+)
 
 
 class HandGuiding:

@@ -6,8 +6,7 @@ import math
 
 import numpy as np
 
-from hil.core.errors import SpecError
-from hil.core.typing import FloatArray
+from hil.core import FloatArray, SpecError
 
 
 class LowPass:

@@ -15,13 +15,10 @@ import math
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.errors import DataError
-from hil.core.typing import FloatArray
-from hil.estimators.base import RobotEstimator
-from hil.estimators.parameters import number
-from hil.estimators.standstill import require_torque
-from hil.export.identified_parameters import rigid_parameters
+from hil.arms import Payload
+from hil.core import DataError, FloatArray
+from hil.estimators import RobotEstimator, number, require_torque
+from hil.export import rigid_parameters
 
 GAIN = 40.0
 """K [1/s]: a push shows by 63 % after 25 ms."""

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from hil.arms.payload import Payload
+from hil.arms import Payload
 from hil.control.compiled import CompiledProgram
 from hil.control.sample import as_sample, require_within
-from hil.core.errors import FitError, SpecError
-from hil.core.typing import FloatArray
-from hil.estimators.base import RobotEstimator
-from hil.export.c_build import compiler
-from hil.export.reading import NotExported
+from hil.core import FitError, FloatArray, SpecError
+from hil.estimators import RobotEstimator
+from hil.export import NotExported, compiler
 
 
 class Predictor:

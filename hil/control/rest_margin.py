@@ -11,11 +11,9 @@ import math
 
 import numpy as np
 
-from hil.core.typing import FloatArray
-from hil.estimators.base import RobotEstimator
-from hil.estimators.conformal import STANDSTILL
-from hil.estimators.standstill import dry_friction
-from hil.export.identified_parameters import plain_friction
+from hil.core import FloatArray
+from hil.estimators import STANDSTILL, RobotEstimator, dry_friction
+from hil.export import plain_friction
 
 FADES_S = 0.1
 """Time constant after a start: the way in which friction comes round, and the observer's lag."""

@@ -6,11 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.core.errors import SpecError
-from hil.core.suggest import did_you_mean
-from hil.estimators.base import RobotEstimator
-from hil.planning.experiment import BUILT_IN, find_station
-from hil.spec.station import StationRobot
+from hil.core import SpecError, did_you_mean
+from hil.estimators import RobotEstimator
+from hil.planning import BUILT_IN, find_station
+from hil.spec import StationRobot
 
 GRAVITY_TOLERANCE = 0.05
 """[m/s²]"""

@@ -23,7 +23,7 @@ from hil.control.rest_search import (
     turned,
 )
 from hil.control.resting import RestingArm
-from hil.core.typing import BoolArray, FloatArray
+from hil.core import BoolArray, FloatArray
 
 APART_RAD = 0.5
 """Poses count as different when some joint differs by as much."""

@@ -13,20 +13,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hil.arms import ArmDescription
-from hil.arms.payload import Payload
+from hil.arms import ArmDescription, Payload
 from hil.control.rest_place import place_of
 from hil.control.rest_pose import RestPose, described, rest_poses
 from hil.control.resting import RestingArm
-from hil.core.errors import PlanError, SpecError
-from hil.core.typing import FloatArray
-from hil.estimators.base import RobotEstimator
-from hil.estimators.model_file import load_model_file
-from hil.estimators.standstill import gravity_torque, holding_friction, require_torque
-from hil.planning.surroundings import collision_model
+from hil.core import FloatArray, PlanError, SpecError
+from hil.estimators import (
+    RobotEstimator,
+    gravity_torque,
+    holding_friction,
+    load_model_file,
+    require_torque,
+)
+from hil.planning import collision_model
 
 if TYPE_CHECKING:
-    from hil.dynamics.collision import CollisionModel
+    from hil.dynamics import CollisionModel
 
 LIMIT_MARGIN_DEG = 2.0
 """Kept from the limits of the joints."""
@@ -177,8 +179,8 @@ def _resting(
 
 def _home(arm: RestingArm, bodies: CollisionModel) -> list[RestPose]:
     """Where programs of this arm begin by default; [] where they cannot."""
-    from hil.excitation.workspace import Workspace
-    from hil.planning.place import roadmap_of
+    from hil.excitation import Workspace
+    from hil.planning import roadmap_of
 
     description = bodies.arm
     workspace = Workspace(

@@ -15,8 +15,7 @@ import numpy as np
 
 from hil.control.brakes_fail import INDIFFERENT, curvatures
 from hil.control.resting import RestingArm
-from hil.core.errors import PlanError
-from hil.core.typing import BoolArray, FloatArray
+from hil.core import BoolArray, FloatArray, PlanError
 
 DRAWN = 4096
 """Well-spread poses that are looked at; a power of two."""

@@ -8,8 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from hil.core.errors import PlanError
-from hil.core.typing import BoolArray, FloatArray
+from hil.core import BoolArray, FloatArray, PlanError
 
 STIFFNESS_STEP_RAD = 1e-4
 """Of the central differences of the torque."""

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.core.errors import DataError
-from hil.core.typing import FloatArray
+from hil.core import DataError, FloatArray
 
 MOST = 1e6
 """Beyond it no position, velocity or acceleration is taken."""

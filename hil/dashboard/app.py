@@ -15,7 +15,7 @@ from starlette.responses import RedirectResponse, Response
 from starlette.routing import BaseRoute, Mount, Route
 from starlette.staticfiles import StaticFiles
 
-from hil.core.errors import HilError
+from hil.core import HilError
 from hil.dashboard.listeners import Listeners
 from hil.dashboard.rendering import WHO, back, refused
 from hil.dashboard.security import HEADERS, Forbidden, Guard, form_of

@@ -6,15 +6,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import HilError
-from hil.core.holder import Holder, plain, since_words
+from hil.core import HilError, Holder, plain, since_words
 from hil.dashboard.offered import offered
 from hil.dashboard.places import address_of
 from hil.dashboard.settings import Settings
-from hil.planning.experiment import find_station
-from hil.report.words import counted
-from hil.robot.lease import held_leases
-from hil.spec.station import Station
+from hil.planning import find_station
+from hil.report import counted
+from hil.robot import held_leases
+from hil.spec import Station
 
 MOST = 12
 """Stations that are shown."""

@@ -13,16 +13,13 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
-from hil.core.errors import DataError, SpecError
+from hil.core import DataError, SpecError
 from hil.dashboard.places import address_of
 from hil.dashboard.rendering import page, settings_of
 from hil.dashboard.run_files import report_address
 from hil.dashboard.settings import Settings
-from hil.report.judgement import ENDINGS
-from hil.report.measure_text import measure
-from hil.report.words import duration, when
-from hil.runs.facts import started_s
-from hil.runs.view import find_runs
+from hil.report import ENDINGS, duration, measure, when
+from hil.runs import find_runs, started_s
 
 PER_PAGE = 50
 

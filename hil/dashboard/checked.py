@@ -8,9 +8,9 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from hil.arms import arm_names
-from hil.core.errors import SpecError
-from hil.planning.experiment import Experiment
-from hil.spec.hashing import spec_hash
+from hil.core import SpecError
+from hil.planning import Experiment
+from hil.spec import spec_hash
 
 
 def digest_of(experiments: Iterable[Experiment], speed: str = "", first: str = "") -> str:

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.typing import FloatArray
-from hil.models.log import CHAMPION_EVENTS, Entry
-from hil.report.words import number
+from hil.core import FloatArray
+from hil.models import CHAMPION_EVENTS, Entry
+from hil.report import number
 
 WIDTH, LEFT, RIGHT = 720.0, 64.0, 16.0
 ROW, TOP, BELOW = 30.0, 14.0, 44.0

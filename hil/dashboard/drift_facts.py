@@ -10,15 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.errors import HilError
+from hil.core import HilError
 from hil.dashboard.drawing import control_chart
 from hil.dashboard.registered import run_link
 from hil.dashboard.settings import Settings
-from hil.models.drift.bands import Banded, banded
-from hil.models.drift.features import UNITS
-from hil.models.drift.history import PROBES_FILE, Probe, probes_of
-from hil.models.registry import Registry
-from hil.report.words import number, when
+from hil.models import PROBES_FILE, UNITS, Banded, Probe, Registry, banded, probes_of
+from hil.report import number, when
 
 SHARES = ("friction", "gain")
 """Features that are shares: shown in percent."""

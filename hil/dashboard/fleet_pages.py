@@ -11,19 +11,17 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
-from hil.core.errors import DataError, HilError
-from hil.core.held_file import holder_of
-from hil.core.text import shell_word
+from hil.core import DataError, HilError, holder_of, shell_word
 from hil.dashboard.catalogue_pages import status_mark
 from hil.dashboard.places import address_of, name_of, run_at
 from hil.dashboard.registered import run_named
 from hil.dashboard.rendering import page, settings_of
 from hil.dashboard.run_files import report_address
 from hil.dashboard.settings import Settings
-from hil.models.fleet_folder import PAGE, FleetFolder, is_fleet_folder
-from hil.recording.numbering import folders_in
-from hil.report.words import counted, when
-from hil.runs.listing import listing_of
+from hil.models import PAGE, FleetFolder, is_fleet_folder
+from hil.recording import folders_in
+from hil.report import counted, when
+from hil.runs import listing_of
 
 MOST_LISTED = 200
 

@@ -10,9 +10,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import SpecError
-from hil.core.source import shown
-from hil.core.yaml_values import scalar
+from hil.core import SpecError, scalar, shown
 from hil.dashboard.settings import Settings
 
 FILE_KEYS = ("file",)

@@ -8,14 +8,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import HilError
-from hil.core.live_lock import is_live
-from hil.core.text import name_text
+from hil.core import HilError, is_live, name_text
 from hil.dashboard.live_facts import header_of
 from hil.dashboard.places import address_of, live_runs, name_of
 from hil.dashboard.settings import Settings
-from hil.spec.series import load_series_spec
-from hil.workflow.starting import Started, started_runs
+from hil.spec import load_series_spec
+from hil.workflow import Started, started_runs
 
 
 def going_on(settings: Settings, within_s: float = 0.0) -> list[dict[str, Any]]:

@@ -13,19 +13,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import HilError
-from hil.core.holder import plain
-from hil.core.live_lock import is_live
+from hil.core import HilError, is_live, plain
 from hil.dashboard.places import address_of, name_of
 from hil.dashboard.settings import Settings
-from hil.engine.live.log_words import words_of
-from hil.engine.live.standing import ENDING, PAUSED, Standing
-from hil.engine.live.words import share_words, state_words, step_words
-from hil.recording.rundir import RunDirectory
-from hil.report.measure_text import measures
-from hil.report.words import duration
-from hil.workflow.following import EventTail, how_it_ended
-from hil.workflow.live_state import read_live, standing_in
+from hil.engine import ENDING, PAUSED, Standing, share_words, state_words, step_words, words_of
+from hil.recording import RunDirectory
+from hil.report import duration, measures
+from hil.workflow import EventTail, how_it_ended, read_live, standing_in
 
 SILENT_AFTER_S = 5.0
 FIRST_LINES = 30

@@ -10,8 +10,7 @@ from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 from starlette.routing import Route
 
-from hil.core.errors import DataError
-from hil.core.live_lock import is_live
+from hil.core import DataError, is_live
 from hil.dashboard.live_facts import FIRST_LINES, LiveRun, question_words
 from hil.dashboard.places import address_of, run_at
 from hil.dashboard.rendering import as_json, page, settings_of, who_of
@@ -21,14 +20,7 @@ from hil.dashboard.run_files import require_run
 from hil.dashboard.security import form_of
 from hil.dashboard.streams import events, run_events
 from hil.dashboard.threads import in_thread
-from hil.workflow.steering import (
-    Reaction,
-    answer_run,
-    pause_run,
-    question_of,
-    resume_live_run,
-    stop_run,
-)
+from hil.workflow import Reaction, answer_run, pause_run, question_of, resume_live_run, stop_run
 
 LISTENS_WITHIN_S = 3.0
 """A run that has just begun hears nothing for a moment."""

@@ -6,16 +6,23 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from hil.core.errors import HilError, RegistryError
+from hil.core import HilError, RegistryError
 from hil.dashboard.drawing import GLYPHS
 from hil.dashboard.registered import model_address, run_link, versions_of
 from hil.dashboard.settings import Settings
-from hil.models.log import Aliases, Entry, read_log
-from hil.models.registry import Registry
-from hil.models.version import ModelVersion
-from hil.report.documents import as_float, as_names, as_object, as_objects
-from hil.report.measure_text import measure
-from hil.report.words import UNKNOWN, count, joint_title, number, when
+from hil.models import Aliases, Entry, ModelVersion, Registry, read_log
+from hil.report import (
+    UNKNOWN,
+    as_float,
+    as_names,
+    as_object,
+    as_objects,
+    count,
+    joint_title,
+    measure,
+    number,
+    when,
+)
 
 
 def readable_versions(registry: Registry, name: str, problems: list[str]) -> list[ModelVersion]:

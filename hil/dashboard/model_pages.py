@@ -8,7 +8,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
-from hil.core.text import shell_word
+from hil.core import shell_word
 from hil.dashboard.drawing import timeline
 from hil.dashboard.model_facts import (
     deed,
@@ -23,10 +23,8 @@ from hil.dashboard.model_facts import (
 from hil.dashboard.registered import model_address, versions_of
 from hil.dashboard.rendering import page, settings_of
 from hil.dashboard.settings import Settings
-from hil.models.log import CHAMPION_EVENTS, Aliases
-from hil.models.registry import Registry
-from hil.models.version import ModelVersion
-from hil.report.words import when
+from hil.models import CHAMPION_EVENTS, Aliases, ModelVersion, Registry
+from hil.report import when
 
 
 def models(request: Request) -> Response:

@@ -7,10 +7,10 @@ from collections import OrderedDict
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
 
-from hil.core.errors import HilError, NotConfirmed, SpecError
+from hil.core import HilError, NotConfirmed, SpecError
 from hil.dashboard.planning import plan_apart
 from hil.dashboard.threads import PLANS
-from hil.workflow.confirmation import digest_of, together
+from hil.workflow import digest_of, together
 
 MOST_MOTIONS = 200
 """Plans of real robots whose facts are remembered until they are confirmed."""

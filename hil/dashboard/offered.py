@@ -8,8 +8,7 @@ from functools import lru_cache
 from itertools import islice
 from pathlib import Path
 
-from hil.core.errors import SpecError
-from hil.core.text import name_read, name_text
+from hil.core import SpecError, name_read, name_text
 from hil.dashboard.settings import Settings
 
 LOOKED_AT = 2000

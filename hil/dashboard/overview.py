@@ -16,10 +16,9 @@ from hil.dashboard.places import address_of, name_of
 from hil.dashboard.rendering import page, settings_of
 from hil.dashboard.schedules_known import coming
 from hil.dashboard.settings import Settings
-from hil.recording.numbering import number_of
-from hil.report.words import duration
-from hil.runs.listing import listing_of, run_paths
-from hil.runs.summary import entry_of
+from hil.recording import number_of
+from hil.report import duration
+from hil.runs import entry_of, listing_of, run_paths
 
 NEWEST = 8
 VERDICTS = {"passed": "pass", "rejected": "fail"}

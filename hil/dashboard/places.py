@@ -6,10 +6,9 @@ from pathlib import Path
 
 from starlette.convertors import PathConvertor, register_url_convertor
 
-from hil.core.errors import DataError
-from hil.core.text import name_text, quoted
+from hil.core import DataError, name_text, quoted
 from hil.dashboard.settings import Settings
-from hil.runs.run_folders import known_runs
+from hil.runs import known_runs
 
 
 class Place(PathConvertor):

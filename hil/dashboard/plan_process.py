@@ -36,7 +36,7 @@ def _end_with_the_asker() -> None:
 
 
 def _answer(asked: Mapping[str, Any]) -> dict[str, Any]:
-    from hil.core.errors import HilError
+    from hil.core import HilError
 
     try:
         return _planned(asked)
@@ -49,9 +49,8 @@ def _answer(asked: Mapping[str, Any]) -> dict[str, Any]:
 def _planned(asked: Mapping[str, Any]) -> dict[str, Any]:
     from hil.dashboard.checked import digest_of
     from hil.dashboard.plan_shown import PICTURES, shown_plan, shown_rest
-    from hil.planning.commissioning import commissioning_of
-    from hil.workflow.resuming import open_unfinished
-    from hil.workflow.starting import check_start
+    from hil.planning import commissioning_of
+    from hil.workflow import check_start, open_unfinished
 
     if "run" in asked:
         unfinished = open_unfinished(Path(asked["run"]))

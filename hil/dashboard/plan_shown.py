@@ -8,19 +8,18 @@ from dataclasses import replace
 from itertools import starmap
 from typing import Any
 
-from hil.core.errors import RobotError
-from hil.planning.commissioning import Commissioning
-from hil.planning.experiment import Experiment
-from hil.planning.plan import Plan
-from hil.planning.plan_preview import PlanPreview
-from hil.planning.robots import moves_for_real, opened
-from hil.report.measure_text import measure, named, size
-from hil.report.plan_figure import picture_of
-from hil.report.words import duration
-from hil.workflow.confirmation import MotionFacts, motion_facts
-from hil.workflow.operator import prompts_of
-from hil.workflow.preview import WITHOUT_THE_ROBOT, preview_experiment
-from hil.workflow.resuming import Unfinished, remaining_motion
+from hil.core import RobotError
+from hil.planning import Commissioning, Experiment, Plan, PlanPreview, moves_for_real, opened
+from hil.report import duration, measure, named, picture_of, size
+from hil.workflow import (
+    WITHOUT_THE_ROBOT,
+    MotionFacts,
+    Unfinished,
+    motion_facts,
+    preview_experiment,
+    prompts_of,
+    remaining_motion,
+)
 
 PICTURES = 3
 """Of a long series so many plans are drawn: a picture is some hundred kilobytes."""

@@ -17,9 +17,8 @@ import time
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
 
-from hil.core.errors import HilError, PlanError
-from hil.core.executor import BLAS_VARIABLES
-from hil.workflow.detached import own_environment
+from hil.core import BLAS_VARIABLES, HilError, PlanError
+from hil.workflow import own_environment
 
 LIMIT_S = 60.0
 MOST_BYTES = 4 * 1024**3

@@ -6,14 +6,11 @@ import contextlib
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import HilError
-from hil.core.files import read_json
-from hil.core.text import quoted
+from hil.core import HilError, quoted, read_json
 from hil.dashboard.places import address_of
 from hil.dashboard.settings import Settings
-from hil.estimators.model_folder import MODEL_FILE
-from hil.models.registry import Registry
-from hil.models.version import ModelVersion, numbers_in, read_version
+from hil.estimators import MODEL_FILE
+from hil.models import ModelVersion, Registry, numbers_in, read_version
 
 
 def model_address(name: str, number: int = 0) -> str:

@@ -15,8 +15,7 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, Response
 
 from hil import __version__
-from hil.core.errors import HilError
-from hil.core.text import json_text, shell_word, utf8_text
+from hil.core import HilError, json_text, shell_word, utf8_text
 from hil.dashboard.going import being_planned, going_on
 from hil.dashboard.security import Forbidden
 from hil.dashboard.settings import Settings

@@ -26,11 +26,9 @@ from hil.dashboard.security import form_of
 from hil.dashboard.settings import Settings
 from hil.dashboard.threads import in_thread
 from hil.dashboard.wanted import require_text
-from hil.planning.experiment import load_experiment
-from hil.planning.robots import moves_for_real
-from hil.report.judgement import RESUMABLE
-from hil.workflow.resuming import require_resumable
-from hil.workflow.starting import check_resume, go_on_with, started_runs
+from hil.planning import load_experiment, moves_for_real
+from hil.report import RESUMABLE
+from hil.workflow import check_resume, go_on_with, require_resumable, started_runs
 
 ONCE = Once()
 

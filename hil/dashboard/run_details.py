@@ -6,12 +6,22 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import HilError
-from hil.recording.rundir import RunDirectory
-from hil.report.documents import Document, as_float, as_object, as_objects
-from hil.report.facts import PLURALS, RunFacts
-from hil.report.judgement import verdict_words
-from hil.report.words import count, counted, duration, number, when
+from hil.core import HilError
+from hil.recording import RunDirectory
+from hil.report import (
+    PLURALS,
+    Document,
+    RunFacts,
+    as_float,
+    as_object,
+    as_objects,
+    count,
+    counted,
+    duration,
+    number,
+    verdict_words,
+    when,
+)
 
 VIRTUAL = "virtual: simulated, no robot moved; times are those of the simulation"
 

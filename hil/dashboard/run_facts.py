@@ -7,31 +7,30 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from hil.core.files import sha256_of
-from hil.core.text import shell_word
+from hil.core import sha256_of, shell_word
 from hil.dashboard.registered import registered_models
 from hil.dashboard.run_details import completeness_of, details_of, virtual_clock
 from hil.dashboard.run_files import listed_files, report_address, require_run
 from hil.dashboard.settings import Settings
-from hil.estimators.model_folder import MODEL_FILE, models_below
-from hil.report.blocks import Badge
-from hil.report.documents import Document, as_objects
-from hil.report.facts import RunFacts, read_facts
-from hil.report.fit_facts import FitFacts
-from hil.report.judgement import (
+from hil.estimators import MODEL_FILE, models_below
+from hil.report import (
     ENDINGS,
+    Badge,
+    Document,
+    FitFacts,
+    RunFacts,
+    as_objects,
     badge_of,
+    criterion_text,
     failed_fits,
+    joint_title,
+    measure,
     next_command,
+    number,
+    read_facts,
     sentence_of,
 )
-from hil.report.measure_text import measure
-from hil.report.words import (
-    criterion_text,
-    joint_title,
-    number,
-)
-from hil.runs.stamp import ALWAYS_READ, stamp_of
+from hil.runs import ALWAYS_READ, stamp_of
 
 
 def facts_of_run(run: Path, settings: Settings) -> dict[str, Any]:

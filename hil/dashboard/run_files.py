@@ -15,14 +15,12 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, Response
 from starlette.routing import Route
 
-from hil.core.errors import DataError
-from hil.core.text import name_read, name_text, quoted
+from hil.core import DataError, name_read, name_text, quoted
 from hil.dashboard.places import address_of, run_at
 from hil.dashboard.rendering import settings_of
 from hil.dashboard.settings import Settings
-from hil.recording.numbering import number_of
-from hil.report.measure_text import size
-from hil.report.report import REPORT_FILE
+from hil.recording import number_of
+from hil.report import REPORT_FILE, size
 
 SHUT_IN = {
     "Content-Security-Policy": "sandbox allow-scripts allow-popups; default-src 'none'; "

@@ -6,17 +6,12 @@ from datetime import UTC, datetime, timedelta
 from itertools import islice, takewhile
 from typing import Any
 
-from hil.core.durations import duration_text
-from hil.core.errors import HilError
-from hil.core.text import shell_word
+from hil.core import HilError, duration_text, shell_word
 from hil.dashboard.registered import run_link
 from hil.dashboard.schedules_known import Known, moment_words
 from hil.dashboard.settings import Settings
-from hil.maintenance.schedule.forecast import Expected, forecast
-from hil.maintenance.schedule.ledger import Line, occasion_of
-from hil.maintenance.schedule.motions import Motions
-from hil.maintenance.schedule.times import occasions
-from hil.spec.schedule import Blackout, ScheduleSpec, Trigger
+from hil.maintenance import Expected, Line, Motions, forecast, occasion_of, occasions
+from hil.spec import Blackout, ScheduleSpec, Trigger
 
 FORESEEN = 12
 MOST_MISSED = 3000

@@ -11,8 +11,7 @@ from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 from starlette.routing import Route
 
-from hil.core.errors import DataError, SpecError
-from hil.core.suggest import did_you_mean
+from hil.core import DataError, SpecError, did_you_mean
 from hil.dashboard.rendering import page, settings_of, who_of
 from hil.dashboard.schedule_facts import (
     blackouts_of,
@@ -27,8 +26,7 @@ from hil.dashboard.schedule_facts import (
 from hil.dashboard.schedules_known import Known, known_schedules
 from hil.dashboard.security import form_of
 from hil.dashboard.settings import Settings
-from hil.maintenance.schedule.holding import hold, release
-from hil.maintenance.schedule.ledger import Ledger, Line
+from hil.maintenance import Ledger, Line, hold, release
 
 PER_PAGE = 50
 

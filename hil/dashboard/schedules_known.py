@@ -13,17 +13,11 @@ from pathlib import Path
 from typing import Any
 from zoneinfo import ZoneInfo
 
-from hil.core.errors import HilError
-from hil.core.held_file import holder_of
-from hil.core.text import quoted
-from hil.core.yaml_nodes import MOST_BYTES
-from hil.core.yaml_source import read_source
+from hil.core import MOST_BYTES, HilError, holder_of, quoted, read_source
 from hil.dashboard.settings import Settings
-from hil.maintenance.schedule.holding import ahead
-from hil.maintenance.schedule.ledger import LEDGER_FILE, LOCK, Ledger
-from hil.maintenance.schedule.times import occasions
-from hil.recording.numbering import folders_in
-from hil.spec.schedule import KEY, ScheduleSpec, load_schedule_spec
+from hil.maintenance import LEDGER_FILE, LOCK, Ledger, ahead, occasions
+from hil.recording import folders_in
+from hil.spec import KEY, ScheduleSpec, load_schedule_spec
 
 LOOKED_AT = 2000
 """Files below the folder of specs; somebody may have named their home."""

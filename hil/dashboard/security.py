@@ -18,7 +18,7 @@ from starlette.requests import Request
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from hil.core.text import quoted
+from hil.core import quoted
 from hil.dashboard.settings import Settings
 
 _LOG = logging.getLogger(__name__)

@@ -13,8 +13,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from types import FrameType
 
-from hil.core.errors import RobotConnectionError
-from hil.core.throttle import OncePerMinute
+from hil.core import OncePerMinute, RobotConnectionError
 from hil.dashboard.app import create_app
 from hil.dashboard.settings import DEFAULT_PORT, Settings, is_wildcard
 

@@ -14,8 +14,7 @@ from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 from starlette.routing import Route
 
-from hil.core.errors import DataError, HilError
-from hil.core.text import name_text
+from hil.core import DataError, HilError, name_text
 from hil.dashboard.going import words_of
 from hil.dashboard.held_by import held_by
 from hil.dashboard.motions import MOTIONS, plans_to_show, refusal_of
@@ -28,7 +27,7 @@ from hil.dashboard.security import form_of
 from hil.dashboard.settings import Settings
 from hil.dashboard.threads import in_thread
 from hil.dashboard.wanted import Wanted, wanted_in
-from hil.workflow.starting import Started, start_run, started_runs
+from hil.workflow import Started, start_run, started_runs
 
 FIELDS = ("spec", "station", "overrides", "operator", "speed", "first")
 """What a form says, and with that what a run is."""

@@ -19,8 +19,7 @@ from typing import Any
 from sse_starlette import EventSourceResponse
 from starlette.requests import Request
 
-from hil.core.errors import HilError
-from hil.core.text import name_read
+from hil.core import HilError, name_read
 from hil.dashboard.going import being_planned, going_on
 from hil.dashboard.live_facts import LiveRun
 from hil.dashboard.rendering import settings_of

@@ -9,17 +9,24 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
-from hil.core.errors import HilError
-from hil.core.text import shell_word
+from hil.core import HilError, shell_word
 from hil.dashboard.model_facts import deed, log_of, readable_versions, role_of, run_of, unit_of
 from hil.dashboard.registered import model_address
 from hil.dashboard.rendering import page, settings_of
-from hil.export.targets import TARGETS
-from hil.models.log import Aliases
-from hil.models.registry import Registry
-from hil.models.version import ModelVersion, read_version
-from hil.report.documents import Document, as_float, as_names, as_object, as_objects
-from hil.report.words import UNKNOWN, in_words, joint_title, number, when
+from hil.export import TARGETS
+from hil.models import Aliases, ModelVersion, Registry, read_version
+from hil.report import (
+    UNKNOWN,
+    Document,
+    as_float,
+    as_names,
+    as_object,
+    as_objects,
+    in_words,
+    joint_title,
+    number,
+    when,
+)
 
 
 def version(request: Request) -> Response:

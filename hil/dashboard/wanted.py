@@ -8,14 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import SpecError
+from hil.core import SpecError
 from hil.dashboard.checked import digest_of
 from hil.dashboard.given_files import require_files_offered
 from hil.dashboard.offered import file_offered
 from hil.dashboard.settings import Settings
-from hil.planning.commissioning import commissioning_of
-from hil.planning.robots import moves_for_real
-from hil.workflow.starting import check_start
+from hil.planning import commissioning_of, moves_for_real
+from hil.workflow import check_start
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,6 @@ Importing `hil.data` pulls in no recorder: reading run directories lives in `hil
 which only the callers above the identification import (docs/explanation/architecture.md).
 """
 
-from hil.data.dataset import Conditions, Dataset, rows_of
-from hil.data.prediction import Model, Prediction, Stream
+import lazy_loader
 
-__all__ = ["Conditions", "Dataset", "Model", "Prediction", "Stream", "rows_of"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 
 NEAR_RAD = 1e-3
 """Where the path begins, measured from the place of rest [rad]."""

@@ -13,9 +13,8 @@ from typing import Literal
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.errors import DataError
-from hil.core.typing import BoolArray, FloatArray, IntArray
+from hil.arms import Payload
+from hil.core import BoolArray, DataError, FloatArray, IntArray
 
 UPRIGHT = (0.0, 0.0, -9.81)
 """Gravity in the base frame of an arm that stands on a level table [m/s²]."""
@@ -129,7 +128,7 @@ class Dataset:
 
     def _repr_html_(self) -> str:
         """Itself in a notebook."""
-        from hil.core.notebook import card
+        from hil.core import card
 
         facts = {
             "samples": f"{len(self):,}",

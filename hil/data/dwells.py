@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hil.core.typing import BoolArray, FloatArray, IntArray
+from hil.core import BoolArray, FloatArray, IntArray
 from hil.data.dataset import Conditions, Dataset
 from hil.data.filters import derivative
 

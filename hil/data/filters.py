@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.errors import DataError
-from hil.core.typing import FloatArray
+from hil.core import DataError, FloatArray
 from hil.data.dataset import PREPARED, Conditions, Dataset
 from hil.data.filtering.butterworth import (
     CLOCK,

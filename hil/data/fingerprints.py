@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hil.core.typing import FloatArray, IntArray
+from hil.core import FloatArray, IntArray
 from hil.data.dataset import Dataset
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 
 
 def rmse(measured: FloatArray, predicted: FloatArray) -> FloatArray:

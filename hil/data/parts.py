@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.core.errors import DataError
-from hil.core.typing import BoolArray, FloatArray
+from hil.core import BoolArray, DataError, FloatArray
 from hil.data.dataset import Dataset
 from hil.data.filtering.downsampling import AT_REST
 from hil.data.splits import group_of, groups, split

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.core.errors import SpecError
-from hil.core.typing import BoolArray, FloatArray
+from hil.core import BoolArray, FloatArray, SpecError
 from hil.data.dataset import Dataset
 from hil.data.metrics import rmse
 

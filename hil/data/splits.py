@@ -12,7 +12,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from hil.core.errors import DataError
+from hil.core import DataError
 from hil.data.dataset import Conditions, Dataset, rows_of
 from hil.data.fingerprints import fingerprints
 

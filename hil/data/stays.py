@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.typing import BoolArray, FloatArray, StructArray
+from hil.core import BoolArray, FloatArray, StructArray
 from hil.data.dwells import DwellRule
 
 LEAVES_AT = 2.0

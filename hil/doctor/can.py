@@ -6,7 +6,7 @@ import socket
 from collections.abc import Iterator
 from pathlib import Path
 
-from hil.can.interfaces import NETWORK, can_interfaces, is_up, up_command
+from hil.can import NETWORK, can_interfaces, is_up, up_command
 from hil.doctor.finding import Finding
 
 BITRATE = 1_000_000

@@ -15,8 +15,8 @@ SERIAL = ("ttyUSB*", "ttyACM*")
 
 def folders() -> Iterator[Finding]:
     """Whether runs, leases, models and cached trajectories can be written; nothing is made."""
-    from hil.excitation.cache import user_cache
-    from hil.robot.lease import leases_folder
+    from hil.excitation import user_cache
+    from hil.robot import leases_folder
 
     runs = Path(os.environ.get("HIL_RUNS") or "runs")
     registry = Path(os.environ.get("HIL_REGISTRY") or "registry")

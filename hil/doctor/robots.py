@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from hil.core.errors import HilError
+from hil.core import HilError
 from hil.doctor.finding import Finding
-from hil.spec.station import StationRobot
+from hil.spec import StationRobot
 
 AT_ONCE = 8
 MANY = 8
@@ -21,7 +21,7 @@ def asked(path: Path) -> Iterator[Finding]:
     Args:
         path: The station file.
     """
-    from hil.spec.load import load_station
+    from hil.spec import load_station
 
     try:
         station = load_station(path)
@@ -41,7 +41,7 @@ def asked(path: Path) -> Iterator[Finding]:
 
 def _ask(name: str, described: StationRobot) -> list[Finding]:
     """What a robot says of itself; nothing for one that is private to this process."""
-    from hil.planning.robots import opened
+    from hil.planning import opened
     from hil.robot import HasReach
 
     try:

@@ -15,8 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy.linalg
 
-from hil.core.errors import FitError
-from hil.core.typing import FloatArray, IntArray
+from hil.core import FitError, FloatArray, IntArray
 from hil.dynamics.robot_model import RobotModel
 
 TOLERANCE = 1e-9

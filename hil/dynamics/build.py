@@ -11,9 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from hil.arms import ArmDescription
-from hil.core.errors import SpecError
-from hil.core.text import utf8_text
-from hil.core.typing import BoolArray, FloatArray
+from hil.core import BoolArray, FloatArray, SpecError, utf8_text
 from hil.dynamics.urdf import read_serial_arm
 
 UNLIMITED = 1e9

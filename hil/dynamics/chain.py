@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hil.core.typing import BoolArray, FloatArray
+from hil.core import BoolArray, FloatArray
 from hil.dynamics.build import JointGeometry
 
 ZERO = 1e-15

@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hil.arms import ArmDescription, Capsule
-from hil.core.errors import DataError, SpecError
-from hil.core.typing import BoolArray, FloatArray, IntArray
+from hil.core import BoolArray, DataError, FloatArray, IntArray, SpecError
 from hil.dynamics.capsules import CapsuleChain
 from hil.dynamics.distances import box_distance, plane_distance, segment_distance
 from hil.dynamics.environment import Box, Environment, Plane

@@ -12,7 +12,7 @@ from typing import TypeVar, cast
 import numpy as np
 from numba import njit
 
-from hil.core.typing import BoolArray, FloatArray, IntArray
+from hil.core import BoolArray, FloatArray, IntArray
 from hil.dynamics.chain import Chain
 
 OMEGA, ALPHA, ACCELERATION = 0, 1, 2

@@ -8,7 +8,7 @@ from zlib import crc32
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.dynamics import compiled as steps
 from hil.dynamics.chain import Chain
 from hil.dynamics.compiled import (

@@ -15,10 +15,8 @@ from collections.abc import Sequence
 import numpy as np
 import pinocchio as pin
 
-from hil.arms import ArmDescription
-from hil.arms.payload import Payload
-from hil.core.errors import SpecError
-from hil.core.typing import FloatArray, IntArray
+from hil.arms import ArmDescription, Payload
+from hil.core import FloatArray, IntArray, SpecError
 from hil.dynamics.inertial import PARAMETERS
 from hil.dynamics.robot_model import GRAVITY, MOTOR_SIDE, RobotModel
 

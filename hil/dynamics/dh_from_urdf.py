@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from hil.core.errors import SpecError
-from hil.core.typing import FloatArray
+from hil.core import FloatArray, SpecError
 from hil.dynamics.build import joint_geometry, model_from_urdf
 
 PARALLEL = 1e-6

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 
 TINY = 1e-18
 """Stands for a squared length of zero, so that a sphere is a segment whose ends coincide."""

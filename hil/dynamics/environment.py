@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.arms import Capsule
-from hil.arms.payload import Payload
-from hil.core.typing import FloatArray
+from hil.arms import Capsule, Payload
+from hil.core import FloatArray
 
 Vector = tuple[float, float, float]
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hil.arms import ArmDescription, Capsule
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.dynamics.capsules import CapsuleChain
 from hil.dynamics.distances import plane_distance
 from hil.dynamics.environment import Plane

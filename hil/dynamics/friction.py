@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 
 
 def friction_terms(qd: FloatArray, sign_width: float = 0.01) -> dict[str, FloatArray]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.dynamics.base import BaseParameters, base_parameters
 from hil.dynamics.regressor_gradient import MotionGradient, RegressorSweep
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hil.arms.payload import Payload
-from hil.core.typing import FloatArray
+from hil.arms import Payload
+from hil.core import FloatArray
 
 PARAMETERS = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy.linalg
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 
 LEAST_SHARE = 1e-15
 """Eigenvalues below this share of the largest are rounding; so is their logarithm."""

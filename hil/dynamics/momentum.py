@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.dynamics.chain import Chain
 from hil.dynamics.inertial import PARAMETERS
 

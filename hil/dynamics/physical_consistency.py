@@ -18,8 +18,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.core.errors import FitError
-from hil.core.typing import BoolArray, FloatArray
+from hil.core import BoolArray, FitError, FloatArray
 
 COORDINATES = ("alpha", "d1", "d2", "d3", "s12", "s23", "s13", "t1", "t2", "t3")
 """Order of θ: α, the logarithms of the diagonal, the upper triangle, the centre of mass [m]."""

@@ -24,8 +24,7 @@ from importlib.util import find_spec
 import numpy as np
 import pinocchio as pin
 
-from hil.core.errors import DataError
-from hil.core.typing import FloatArray, IntArray
+from hil.core import DataError, FloatArray, IntArray
 from hil.dynamics.chain import Chain
 from hil.dynamics.inertial import PARAMETERS
 

@@ -9,9 +9,8 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from hil.arms.payload import Payload
-from hil.core.errors import DataError
-from hil.core.typing import FloatArray, IntArray
+from hil.arms import Payload
+from hil.core import DataError, FloatArray, IntArray
 from hil.dynamics.build import JointGeometry, joint_geometry, pose_of
 from hil.dynamics.chain import Chain
 from hil.dynamics.inertial import PARAMETERS, payload_parameters, transfer_matrix

@@ -12,10 +12,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from hil.arms import ArmDescription, is_description, load_arm
-from hil.arms.payload import Payload
-from hil.core.errors import SpecError
-from hil.core.typing import FloatArray
+from hil.arms import ArmDescription, Payload, is_description, load_arm
+from hil.core import FloatArray, SpecError
 from hil.dynamics.build import (
     model_from_arm,
     model_from_urdf,

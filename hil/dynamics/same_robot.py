@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.core.errors import DataError, SpecError
-from hil.core.typing import FloatArray
+from hil.core import DataError, FloatArray, SpecError
 from hil.dynamics.robot_model import MOTOR_SIDE, RobotModel, load_model
 
 APART_M, APART_RAD = 0.01, 0.05

@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from hil.arms import ArmDescription, Capsule
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.dynamics.build import model_from_arm
 from hil.dynamics.collision import CollisionModel
 from hil.dynamics.environment import Box, Plane

@@ -8,8 +8,7 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
-from hil.core.errors import SpecError
-from hil.core.neighbours import neighbour_of, no_file
+from hil.core import SpecError, neighbour_of, no_file
 
 MOVING = ("revolute", "continuous", "prismatic")
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.typing import FloatArray
+from hil.arms import Payload
+from hil.core import FloatArray
 from hil.dynamics.robot_model import RobotModel
 
 GAIN_SHARE = 0.05

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.core.typing import FloatArray, StructArray
-from hil.planning.plan import DwellRule
+from hil.core import FloatArray, StructArray
+from hil.planning import DwellRule
 
 
 class DwellWatch:

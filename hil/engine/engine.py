@@ -13,7 +13,7 @@ import traceback
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from hil.core.errors import (
+from hil.core import (
     HilError,
     InterlockTripped,
     RobotConnectionError,
@@ -22,9 +22,10 @@ from hil.core.errors import (
     RobotTimeout,
     StaleState,
     Stopped,
+    StructArray,
+    bounded,
+    supervised,
 )
-from hil.core.time_limit import bounded, supervised
-from hil.core.typing import StructArray
 from hil.engine.interlocks import Interlock
 from hil.engine.observers import Observers
 from hil.engine.pausing import GoOn, Pausing, nobody_goes_on
@@ -36,7 +37,7 @@ from hil.engine.states import RunState, StateMachine
 from hil.engine.steps import Measured, Steps
 from hil.engine.telling import Health, Telling, under_way
 from hil.engine.watchdog import HUNG_AFTER_S, Watchdog
-from hil.planning.plan import Plan, Step
+from hil.planning import Plan, Step
 from hil.robot import Robot
 
 READ_WITHIN_S = 3.0

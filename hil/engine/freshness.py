@@ -7,8 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hil.core.errors import InterlockTripped, StaleState
-from hil.core.typing import StructArray
+from hil.core import InterlockTripped, StaleState, StructArray
 
 STALE_AFTER_S = 0.5
 """Wall time without a newer sample, on robots that live in wall time [s]."""

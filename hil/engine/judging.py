@@ -6,9 +6,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import TypeVar
 
-from hil.core.errors import HilError, InterlockTripped
-from hil.core.plugins import origin_of
-from hil.core.typing import StructArray
+from hil.core import HilError, InterlockTripped, StructArray, origin_of
 from hil.engine.interlocks import Interlock, Trip
 
 SLOW_S = 0.25

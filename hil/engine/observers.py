@@ -13,7 +13,7 @@ import time
 from collections.abc import Mapping
 from typing import Any, Protocol
 
-from hil.core.typing import StructArray
+from hil.core import StructArray
 
 Event = Mapping[str, Any]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from hil.core.errors import InterlockTripped
+from hil.core import InterlockTripped
 from hil.engine.reading import Reading, Sink
 from hil.engine.states import RunState
 from hil.engine.steps import Steps

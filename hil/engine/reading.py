@@ -9,9 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from hil.core.errors import HilError, RecordingError, RobotFault
-from hil.core.time_limit import bounded
-from hil.core.typing import StructArray
+from hil.core import HilError, RecordingError, RobotFault, StructArray, bounded
 from hil.engine.freshness import Deadline, Freshness
 from hil.engine.interlocks import Interlock, Trip, is_slowed
 from hil.engine.judging import Judge

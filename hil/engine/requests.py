@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hil.core.errors import HilError, Stopped
+from hil.core import HilError, Stopped
 
 
 @dataclass(slots=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hil.core.errors import HilError, InterlockTripped, Stopped
+from hil.core import HilError, InterlockTripped, Stopped
 from hil.engine.reading import Progress
 from hil.engine.states import Outcome
 

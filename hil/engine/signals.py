@@ -19,8 +19,7 @@ from collections.abc import Iterator
 from types import FrameType, TracebackType
 from typing import Any
 
-from hil.core.errors import Stopped
-from hil.core.time_limit import bounded
+from hil.core import Stopped, bounded
 from hil.engine.engine import Engine
 from hil.engine.reading import STOP_WITHIN_S
 from hil.engine.states import RunState

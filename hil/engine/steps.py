@@ -7,13 +7,12 @@ from typing import Literal
 
 import numpy as np
 
-from hil.core.errors import CommandRefused, RobotTimeout, Stopped
-from hil.core.typing import StructArray
+from hil.core import CommandRefused, RobotTimeout, Stopped, StructArray
 from hil.engine.dwell import DwellWatch
 from hil.engine.prompt import Prompt
 from hil.engine.reading import Reading, Sink
-from hil.excitation.motion import Motion
-from hil.planning.plan import AT_REST, Plan, Step, StepKind
+from hil.excitation import Motion
+from hil.planning import AT_REST, Plan, Step, StepKind
 from hil.robot import Robot, Segment, Status
 
 SEGMENT_KINDS: dict[StepKind, Literal["move", "trajectory", "hold"]] = {

@@ -6,12 +6,12 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from hil.core.typing import StructArray
+from hil.core import StructArray
 from hil.engine.observers import Observers
 from hil.engine.prompt import Reply
 from hil.engine.reading import Progress
 from hil.engine.states import RunState
-from hil.planning.plan import AT_REST, Plan, Step
+from hil.planning import AT_REST, Plan, Step
 
 EVERY_S = 0.2
 """Wall time between two progress events [s]."""

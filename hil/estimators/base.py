@@ -10,17 +10,22 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from pydantic import ValidationError
 
-from hil.arms.payload import Payload
-from hil.core import plugins
-from hil.core.errors import DataError, FitError, SpecError
-from hil.core.typing import FloatArray
-from hil.data.dataset import Conditions, Dataset, SeriesKind, rows_of
-from hil.data.filters import FilterSettings, downsample, is_prepared, prepare
-from hil.data.parts import rows_to_fit
-from hil.data.prediction import Prediction, Stream
-from hil.dynamics import RobotModel
-from hil.dynamics.regressor import COMPILED_FROM
-from hil.dynamics.same_robot import may_be
+from hil.arms import Payload
+from hil.core import DataError, FitError, FloatArray, SpecError, plugins
+from hil.data import (
+    Conditions,
+    Dataset,
+    FilterSettings,
+    Prediction,
+    SeriesKind,
+    Stream,
+    downsample,
+    is_prepared,
+    prepare,
+    rows_of,
+    rows_to_fit,
+)
+from hil.dynamics import COMPILED_FROM, RobotModel, may_be
 from hil.estimators.checks import Needs
 from hil.estimators.parameters import Parametrised, require_known
 from hil.estimators.training import Training

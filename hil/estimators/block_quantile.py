@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.core.typing import BoolArray, FloatArray, IntArray
+from hil.core import BoolArray, FloatArray, IntArray
 
 ROUNDING = 1e-9
 

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from hil.core.typing import FloatArray, IntArray
+from hil.core import FloatArray, IntArray
 from hil.estimators.correlation import correlated_samples
 
 TIMES = 4.0

@@ -8,10 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hil.arms import arm_names
-from hil.core.errors import DataError, FitError
-from hil.core.typing import FloatArray
-from hil.data.dataset import PREPARED, Dataset
-from hil.data.filters import require_finite
+from hil.core import DataError, FitError, FloatArray
+from hil.data import PREPARED, Dataset, require_finite
 from hil.dynamics import RobotModel
 
 NO_EFFORT = 1e-12

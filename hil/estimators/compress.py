@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.typing import FloatArray, IntArray
+from hil.core import FloatArray, IntArray
 
 
 class JointwiseQR:

@@ -17,8 +17,7 @@ from statistics import NormalDist
 
 import numpy as np
 
-from hil.core.errors import FitError, SpecError
-from hil.core.typing import BoolArray, FloatArray, IntArray
+from hil.core import BoolArray, FitError, FloatArray, IntArray, SpecError
 from hil.estimators.band_coverage import BandCoverage
 from hil.estimators.block_quantile import conformal_quantile
 from hil.estimators.parameters import number, whole

@@ -20,9 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.core import plugins
-from hil.core.errors import FitError
-from hil.core.typing import FloatArray
+from hil.core import FitError, FloatArray, plugins
 from hil.dynamics import BaseParameters
 from hil.estimators.compress import upper_triangle
 from hil.estimators.inertial_bounds import InertialBounds

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from hil.core.typing import FloatArray, IntArray
+from hil.core import FloatArray, IntArray
 
 WINDOW = 5.0
 """Lags are summed up to so many correlation times (Sokal's automatic windowing)."""

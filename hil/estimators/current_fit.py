@@ -10,8 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hil.core.errors import FitError
-from hil.core.typing import FloatArray, IntArray
+from hil.core import FitError, FloatArray, IntArray
 from hil.estimators.clustered import Clustered, ClusterSums, clustered_covariance
 from hil.estimators.linear import WeightedLeastSquares
 from hil.estimators.motor import has_current, nearest_current, slope_at

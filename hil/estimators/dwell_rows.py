@@ -7,10 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from hil.core.typing import FloatArray, IntArray
-from hil.data.dataset import Dataset
-from hil.data.dwells import SAMPLES_PER_DWELL, series_means
-from hil.data.splits import group_of
+from hil.core import FloatArray, IntArray
+from hil.data import SAMPLES_PER_DWELL, Dataset, group_of, series_means
 
 
 def one_row_each(dwells: Dataset) -> Dataset:

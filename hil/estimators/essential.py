@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.typing import FloatArray, IntArray
+from hil.core import FloatArray, IntArray
 from hil.estimators.compress import upper_triangle
 
 LEVEL = 0.05

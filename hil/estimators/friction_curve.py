@@ -8,7 +8,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from hil.core.typing import BoolArray, FloatArray
+from hil.core import BoolArray, FloatArray
 
 COULOMB, STATIC, VISCOUS, OFFSET = "coulomb", "static", "viscous", "offset"
 """Terms that pages tell apart; where there is a `static` one, friction begins with it."""

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 
 LOWEST, HIGHEST = 0.2, 1.6
 """Exponents that are looked at: below, the power is Coulomb friction by another name."""

@@ -13,11 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.errors import FitError
-from hil.core.typing import FloatArray, IntArray
-from hil.data.dataset import Dataset
-from hil.data.dwells import series_means
+from hil.arms import Payload
+from hil.core import FitError, FloatArray, IntArray
+from hil.data import Dataset, series_means
 from hil.dynamics import RobotModel
 
 SAME_POSE_RAD = 0.01

@@ -21,10 +21,8 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from hil.core.errors import FitError
-from hil.core.typing import BoolArray, FloatArray
-from hil.data.dataset import Dataset
-from hil.data.dwells import dwells_of
+from hil.core import BoolArray, FitError, FloatArray
+from hil.data import Dataset, dwells_of
 from hil.dynamics import RobotModel
 from hil.estimators.checks import require_clean, require_robot
 from hil.estimators.gain_lines import gain_lines, listed

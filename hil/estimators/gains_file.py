@@ -8,9 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.core.errors import DataError, RecordingError, SpecError
-from hil.core.typing import FloatArray
-from hil.data.dataset import Dataset
+from hil.core import DataError, FloatArray, RecordingError, SpecError
+from hil.data import Dataset
 
 KEY, SOURCE_KEY = "drive_gains_nm_a", "drive_gains_source"
 
@@ -52,7 +51,7 @@ def read_gains(path: Path) -> DriveGains:
     Raises:
         SpecError: The file cannot be read, or has no `drive_gains_nm_a` of positive numbers.
     """
-    from hil.core.yaml_source import read_source
+    from hil.core import read_source
 
     found = read_source(path).data
     told = found.get(KEY) if isinstance(found, dict) else None

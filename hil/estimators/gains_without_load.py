@@ -20,9 +20,8 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from hil.core.errors import FitError
-from hil.core.typing import BoolArray, FloatArray
-from hil.data.dataset import Dataset
+from hil.core import BoolArray, FitError, FloatArray
+from hil.data import Dataset
 from hil.dynamics import friction_terms
 from hil.estimators.blocks import time_blocks
 from hil.estimators.clustered import ClusteredLeastSquares

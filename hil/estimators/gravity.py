@@ -6,8 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from hil.core.errors import FitError
-from hil.core.typing import BoolArray, FloatArray
+from hil.core import BoolArray, FitError, FloatArray
 from hil.dynamics import RobotModel, base_parameters
 
 UR_JOINTS = 6

@@ -6,11 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hil.core.errors import DataError, SpecError
-from hil.core.suggest import did_you_mean
-from hil.core.typing import FloatArray
-from hil.data.dataset import Dataset
-from hil.data.filters import AT_REST, FilterSettings, derivative, sample_rate
+from hil.core import DataError, FloatArray, SpecError, did_you_mean
+from hil.data import AT_REST, Dataset, FilterSettings, derivative, sample_rate
 from hil.dynamics import RobotModel
 from hil.estimators.friction.library import CORE, groups
 

@@ -11,10 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.core.typing import BoolArray, FloatArray
-from hil.dynamics import RobotModel
-from hil.dynamics.inertial import PARAMETERS
-from hil.dynamics.physical_consistency import from_pseudo_inertia, pseudo_inertia
+from hil.core import BoolArray, FloatArray
+from hil.dynamics import PARAMETERS, RobotModel, from_pseudo_inertia, pseudo_inertia
 
 MASS_FACTOR = 1.3
 """A link is at most so many times as heavy as its nominal model: cables, covers, drive gains."""

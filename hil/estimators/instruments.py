@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hil.core.typing import FloatArray, IntArray
+from hil.core import FloatArray, IntArray
 
 
 class Instrumental(NamedTuple):

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.core.typing import FloatArray, IntArray
+from hil.core import FloatArray, IntArray
 from hil.estimators.compress import JointwiseQR
 
 System = tuple[FloatArray, FloatArray, IntArray]

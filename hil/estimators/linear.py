@@ -12,7 +12,7 @@ import numpy as np
 from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.estimators.compress import upper_triangle
 
 

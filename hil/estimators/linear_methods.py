@@ -20,7 +20,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from hil.core.typing import FloatArray, IntArray
+from hil.core import FloatArray, IntArray
 from hil.estimators.clustered import ClusterSums, clustered_covariance
 from hil.estimators.linear import WeightedLeastSquares
 from hil.estimators.pose_weights import pose_counts, repeat_weights, residual_weights

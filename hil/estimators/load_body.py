@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.typing import FloatArray
-from hil.dynamics.inertial import body_parameters, skew
-from hil.dynamics.physical_consistency import from_pseudo_inertia, pseudo_inertia
+from hil.arms import Payload
+from hil.core import FloatArray
+from hil.dynamics import body_parameters, from_pseudo_inertia, pseudo_inertia, skew
 
 LENGTH_M = 0.1
 """What a load's dimensions are counted in, so that its numbers are alike in size."""

@@ -15,9 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.errors import DataError, FitError, SpecError
-from hil.core.text import json_text
-from hil.core.typing import FloatArray
+from hil.core import DataError, FitError, FloatArray, SpecError, json_text
 from hil.estimators.base import RobotEstimator, estimator
 from hil.estimators.model_folder import MODEL_FILE, only_model
 from hil.estimators.robot_file import URDF_FILE, restore_robot, store_robot

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hil.core.errors import DataError
+from hil.core import DataError
 
 MODEL_FILE = "model.json"
 

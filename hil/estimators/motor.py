@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.core.errors import DataError
-from hil.core.typing import BoolArray, FloatArray
+from hil.core import BoolArray, DataError, FloatArray
 
 Constants = FloatArray | float
 """(n,) one number per joint, or the same for all."""

@@ -10,8 +10,7 @@ from typing import Annotated, Any, Self, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ValidationError
 
-from hil.core.errors import SpecError
-from hil.core.suggest import did_you_mean
+from hil.core import SpecError, did_you_mean
 
 MOST_SEED = 2**32 - 1
 """The largest that every generator of random numbers takes."""

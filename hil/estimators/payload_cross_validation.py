@@ -7,10 +7,9 @@ from typing import Literal
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.typing import BoolArray, FloatArray
-from hil.data.dataset import Dataset
-from hil.data.filters import sample_rate
+from hil.arms import Payload
+from hil.core import BoolArray, FloatArray
+from hil.data import Dataset, sample_rate
 from hil.estimators.base import RobotEstimator
 from hil.estimators.payload_estimate import PayloadEstimate
 from hil.estimators.payload_fit import estimate_payload

@@ -20,9 +20,9 @@ from itertools import combinations
 import numpy as np
 from scipy import stats
 
-from hil.arms.payload import Payload
-from hil.core.typing import FloatArray
-from hil.dynamics.weighing import GAIN_SHARE
+from hil.arms import Payload
+from hil.core import FloatArray
+from hil.dynamics import GAIN_SHARE
 from hil.estimators.payload_estimate import PayloadEstimate
 from hil.estimators.payload_findings import Finding, findings, mount_observable
 from hil.estimators.payload_fit import true_values

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.typing import FloatArray
-from hil.data.prediction import Prediction
+from hil.arms import Payload
+from hil.core import FloatArray
+from hil.data import Prediction
 from hil.estimators.clustered import interval
 
 NAMES = ("mass", "com_x", "com_y", "com_z", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
@@ -109,7 +109,7 @@ class PayloadEstimate:
 
     def _repr_html_(self) -> str:
         """Itself in a notebook: a row per parameter that shows."""
-        from hil.core.notebook import card, number
+        from hil.core import card, number
 
         rows = [
             (one["name"], number(one["value"]), number(one["std_error"]),

@@ -8,8 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.typing import FloatArray
+from hil.arms import Payload
+from hil.core import FloatArray
 
 Kind = Literal["mass", "centre", "mount", "inertia", "no body"]
 

@@ -18,10 +18,9 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.errors import DataError, FitError, SpecError
-from hil.core.typing import BoolArray, FloatArray, IntArray
-from hil.data.dataset import Dataset
+from hil.arms import Payload
+from hil.core import BoolArray, DataError, FitError, FloatArray, IntArray, SpecError
+from hil.data import Dataset
 from hil.dynamics import payload_parameters
 from hil.estimators.base import RobotEstimator
 from hil.estimators.blocks import time_blocks

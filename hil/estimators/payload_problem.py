@@ -12,12 +12,9 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.errors import FitError
-from hil.core.typing import BoolArray, FloatArray
-from hil.data.dataset import Dataset, rows_of
-from hil.data.filters import FilterSettings, is_prepared
-from hil.data.prediction import Prediction
+from hil.arms import Payload
+from hil.core import BoolArray, FitError, FloatArray
+from hil.data import Dataset, FilterSettings, Prediction, is_prepared, rows_of
 from hil.dynamics import joint_columns
 from hil.estimators.base import RobotEstimator, prepared
 from hil.estimators.load_body import LENGTH_M, payload_of, point_masses

@@ -15,12 +15,10 @@ from collections.abc import Iterator
 import numpy as np
 from scipy import stats
 
-from hil.arms.payload import Payload
-from hil.core.errors import FitError, HilError
-from hil.core.typing import FloatArray
-from hil.data.dataset import Dataset
-from hil.data.dwells import dwells_of
-from hil.dynamics.weighing import GAIN_SHARE
+from hil.arms import Payload
+from hil.core import FitError, FloatArray, HilError
+from hil.data import Dataset, dwells_of
+from hil.dynamics import GAIN_SHARE
 from hil.estimators.base import HONEST, RobotEstimator
 from hil.estimators.checks import require_clean
 from hil.estimators.payload_estimate import Correction, PayloadEstimate

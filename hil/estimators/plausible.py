@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.core.errors import FitError
-from hil.core.typing import FloatArray
-from hil.data.dataset import PREPARED, Dataset
+from hil.core import FitError, FloatArray
+from hil.data import PREPARED, Dataset
 from hil.dynamics import RobotModel
 
 TIMES_LIMIT = 10.0

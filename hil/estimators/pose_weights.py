@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hil.core.typing import FloatArray, IntArray
+from hil.core import FloatArray, IntArray
 
 PRIOR = 4.0
 """Observations' worth of the joint's mean variance. With one residual per pose the weights are

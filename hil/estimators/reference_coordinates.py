@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.core.typing import FloatArray
-from hil.dynamics.inertial import PARAMETERS
-from hil.dynamics.physical_consistency import from_pseudo_inertia, pseudo_inertia
+from hil.core import FloatArray
+from hil.dynamics import PARAMETERS, from_pseudo_inertia, pseudo_inertia
 from hil.estimators.inertial_bounds import InertialBounds
 
 BODY = len(PARAMETERS)

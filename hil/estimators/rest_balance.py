@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.errors import FitError
-from hil.core.typing import FloatArray
-from hil.dynamics.weighing import static_columns
+from hil.arms import Payload
+from hil.core import FitError, FloatArray
+from hil.dynamics import static_columns
 from hil.estimators.base import RobotEstimator
 from hil.estimators.rest_readings import RestReadings
 from hil.estimators.standstill import dry_friction, resting_at

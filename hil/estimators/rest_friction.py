@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import savgol_filter
 
-from hil.core.typing import FloatArray
-from hil.data.approach_path import QD, Q
+from hil.core import FloatArray
+from hil.data import QD, Q
 
 SMOOTHED = 7
 """Points of a path that a local parabola is fitted to: the encoder's noise is a tenth of what the

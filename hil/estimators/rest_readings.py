@@ -6,10 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.core.errors import DataError
-from hil.core.typing import BoolArray, FloatArray
-from hil.data.dataset import Conditions, Dataset
-from hil.data.dwells import series_means
+from hil.core import BoolArray, DataError, FloatArray
+from hil.data import Conditions, Dataset, series_means
 
 SAME_POSE_RAD = 0.01
 """Poses whose joints are all nearer than this to one another are one pose."""

@@ -6,11 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from hil.core.typing import BoolArray, FloatArray, IntArray
-from hil.data.approach_path import POINTS
-from hil.data.dataset import Dataset
-from hil.data.dwells import series_means
-from hil.data.filters import AT_REST
+from hil.core import BoolArray, FloatArray, IntArray
+from hil.data import AT_REST, POINTS, Dataset, series_means
 
 LEAST_SPAN_K = 1.0
 """Temperatures that change by less in training say nothing about how friction goes with them."""

@@ -7,9 +7,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hil.core.typing import FloatArray
-from hil.data.approach_path import POINTS, STEP_S, Track, arrival
-from hil.data.dwells import SAMPLES_PER_DWELL
+from hil.core import FloatArray
+from hil.data import POINTS, SAMPLES_PER_DWELL, STEP_S, Track, arrival
 from hil.estimators.stream import one_sample
 
 KEPT_S = 2.0

@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hil.core.errors import FitError
-from hil.core.typing import FloatArray
+from hil.core import FitError, FloatArray
 from hil.estimators.jointwise import Solution, at_least_rounding
 from hil.estimators.robust_loss import Loss, influence_slope, robust_scale, robust_weights
 from hil.estimators.robust_rows import RobustRows

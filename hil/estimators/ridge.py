@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.core.typing import BoolArray, FloatArray
+from hil.core import BoolArray, FloatArray
 
 GRID = np.concatenate([[0.0], np.geomspace(1e-9, 1e-1, 25)])
 """Penalties that are tried, as shares of a column's sum of squares."""

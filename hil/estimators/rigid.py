@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-from hil.data.filters import FilterSettings
+from hil.data import FilterSettings
 from hil.estimators.compress import JointwiseQR
 from hil.estimators.jointwise import Solution, jointwise_least_squares
 from hil.estimators.parameters import flag

@@ -8,10 +8,8 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from hil.core.errors import FitError
-from hil.core.typing import FloatArray, IntArray
-from hil.data.dataset import Dataset
-from hil.data.filters import FilterSettings, downsample, filter_columns
+from hil.core import FitError, FloatArray, IntArray
+from hil.data import Dataset, FilterSettings, downsample, filter_columns
 from hil.dynamics import BaseParameters
 from hil.estimators.base import prepared
 from hil.estimators.clustered import interval

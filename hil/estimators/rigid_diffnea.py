@@ -16,11 +16,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.typing import FloatArray
-from hil.data.dataset import Dataset
-from hil.data.filters import FilterSettings
-from hil.data.prediction import Stream
+from hil.arms import Payload
+from hil.core import FloatArray
+from hil.data import Dataset, FilterSettings, Stream
 from hil.estimators.checks import require_sizes
 from hil.estimators.compress import JointwiseQR
 from hil.estimators.diffnea.arm import DiffneaArm

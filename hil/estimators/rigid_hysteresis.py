@@ -15,12 +15,9 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.typing import FloatArray
-from hil.data.dataset import Dataset, SeriesKind
-from hil.data.filters import FilterSettings
-from hil.data.parts import rows_to_fit
-from hil.data.prediction import Prediction, Stream
+from hil.arms import Payload
+from hil.core import FloatArray
+from hil.data import Dataset, FilterSettings, Prediction, SeriesKind, Stream, rows_to_fit
 from hil.dynamics import RobotModel, base_parameters
 from hil.estimators.base import RobotEstimator, chunks, payload_torque, prepared
 from hil.estimators.checks import (

@@ -12,9 +12,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from hil.core.typing import BoolArray, FloatArray
-from hil.data.dataset import Dataset
-from hil.data.filters import FilterSettings, filter_columns
+from hil.core import BoolArray, FloatArray
+from hil.data import Dataset, FilterSettings, filter_columns
 from hil.estimators.checks import require_sizes
 from hil.estimators.compress import JointwiseQR
 from hil.estimators.friction_exponent import best_exponent, power_of_speed

@@ -14,10 +14,8 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from hil.core.typing import FloatArray
-from hil.data.dataset import Dataset, SeriesKind
-from hil.data.filters import FilterSettings
-from hil.data.prediction import Prediction
+from hil.core import FloatArray
+from hil.data import Dataset, FilterSettings, Prediction, SeriesKind
 from hil.dynamics import RobotModel, base_parameters, friction_terms, joint_columns
 from hil.estimators.base import chunks, payload_torque, prepared, training_rows
 from hil.estimators.checks import Needs, require_clean, require_motion, require_robot, torque_scale

@@ -12,8 +12,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from hil.core.typing import FloatArray, IntArray
-from hil.data.filters import FilterSettings
+from hil.core import FloatArray, IntArray
+from hil.data import FilterSettings
 from hil.dynamics import BaseParameters
 from hil.estimators.checks import require_sizes
 from hil.estimators.compress import JointwiseQR

@@ -12,11 +12,8 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from hil.core.errors import FitError, SpecError
-from hil.core.typing import BoolArray, FloatArray
-from hil.data.dataset import Conditions, Dataset
-from hil.data.filters import FilterSettings
-from hil.data.splits import Group, group_of
+from hil.core import BoolArray, FitError, FloatArray, SpecError
+from hil.data import Conditions, Dataset, FilterSettings, Group, group_of
 from hil.estimators.compress import JointwiseQR
 from hil.estimators.jointwise import Solution, jointwise_least_squares
 from hil.estimators.parameters import choice, number

@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 
 from hil.arms import require_same_arm
-from hil.core.errors import DataError, FitError, SpecError
-from hil.dynamics import RobotModel
-from hil.dynamics.robot_model import MOTOR_SIDE
+from hil.core import DataError, FitError, SpecError
+from hil.dynamics import MOTOR_SIDE, RobotModel
 
 URDF_FILE = "robot.urdf"
 

@@ -16,7 +16,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from hil.core.typing import FloatArray, IntArray
+from hil.core import FloatArray, IntArray
 from hil.estimators.clustered import Clustered, ClusterSums, clustered_covariance
 
 WINDOW_TIMES = 10.0

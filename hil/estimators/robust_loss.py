@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 
 Loss = Literal["huber", "tukey"]
 LOSSES = ("huber", "tukey")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.core.typing import BoolArray, FloatArray, IntArray
+from hil.core import BoolArray, FloatArray, IntArray
 from hil.estimators.jointwise import System
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.core.typing import FloatArray, IntArray
+from hil.core import FloatArray, IntArray
 
 
 def speed_edges(speeds: FloatArray, ranges: int, standstill: float) -> FloatArray:

@@ -17,10 +17,9 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.errors import DataError, FitError
-from hil.core.typing import FloatArray
-from hil.data.dataset import Conditions, Dataset
+from hil.arms import Payload
+from hil.core import DataError, FitError, FloatArray
+from hil.data import Conditions, Dataset
 from hil.estimators.base import RobotEstimator
 
 COULOMB, OFFSET = "coulomb", "offset"

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from typing import ClassVar, Self
 
-from hil.data.dataset import Dataset
+from hil.data import Dataset
 from hil.dynamics import RobotModel
 from hil.estimators.dwell_rows import one_row_each
 from hil.estimators.parameters import choice, flag, number

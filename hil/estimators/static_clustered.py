@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.typing import FloatArray, IntArray
-from hil.data.dataset import Dataset
+from hil.core import FloatArray, IntArray
+from hil.data import Dataset
 from hil.dynamics import RobotModel
 from hil.estimators.checks import Needs, require_motion, require_varied
 from hil.estimators.dwell_rows import pose_numbers, short_dwells

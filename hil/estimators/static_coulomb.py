@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.estimators.parameters import number
 from hil.estimators.rest_friction import Rest, coulomb_terms
 from hil.estimators.static_friction import StaticFriction

@@ -9,12 +9,9 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.errors import FitError
-from hil.core.typing import BoolArray, FloatArray
-from hil.data.approach_path import directions
-from hil.data.dataset import Dataset, SeriesKind
-from hil.data.prediction import Prediction, Stream
+from hil.arms import Payload
+from hil.core import BoolArray, FitError, FloatArray
+from hil.data import Dataset, Prediction, SeriesKind, Stream, directions
 from hil.dynamics import RobotModel, joint_columns
 from hil.estimators.base import payload_torque
 from hil.estimators.checks import Needs

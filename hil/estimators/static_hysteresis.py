@@ -15,9 +15,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from hil.core.errors import FitError, SpecError
-from hil.core.typing import BoolArray, FloatArray, IntArray
-from hil.data.dataset import Dataset
+from hil.core import BoolArray, FitError, FloatArray, IntArray, SpecError
+from hil.data import Dataset
 from hil.estimators.dwell_rows import pose_numbers
 from hil.estimators.grouped_ridge import GroupedRidge, pose_folds
 from hil.estimators.parameters import flag, number

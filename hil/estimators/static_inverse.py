@@ -22,11 +22,9 @@ from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.errors import FitError
-from hil.core.typing import FloatArray, IntArray
-from hil.data.dataset import Dataset
-from hil.data.prediction import Prediction
+from hil.arms import Payload
+from hil.core import FitError, FloatArray, IntArray
+from hil.data import Dataset, Prediction
 from hil.dynamics import RobotModel
 from hil.estimators.base import payload_torque
 from hil.estimators.checks import Needs, require_rank

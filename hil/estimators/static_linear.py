@@ -13,9 +13,8 @@ from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
-from hil.core.errors import SpecError
-from hil.core.typing import IntArray
-from hil.data.dataset import Dataset
+from hil.core import IntArray, SpecError
+from hil.data import Dataset
 from hil.dynamics import RobotModel
 from hil.estimators.checks import require_rank
 from hil.estimators.dwell_rows import one_row_each, pose_numbers, scatter

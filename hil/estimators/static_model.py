@@ -7,12 +7,9 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.errors import FitError, SpecError
-from hil.core.typing import BoolArray, FloatArray
-from hil.data.dataset import Dataset, SeriesKind
-from hil.data.dwells import DwellRule, dwells_of
-from hil.data.prediction import Prediction, Stream
+from hil.arms import Payload
+from hil.core import BoolArray, FitError, FloatArray, SpecError
+from hil.data import Dataset, DwellRule, Prediction, SeriesKind, Stream, dwells_of
 from hil.dynamics import RobotModel, joint_columns
 from hil.estimators.base import HONEST, load_of, payload_torque
 from hil.estimators.checks import Needs, require_clean, require_robot, torque_scale

@@ -6,9 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.errors import DataError
-from hil.core.typing import FloatArray
+from hil.arms import Payload
+from hil.core import DataError, FloatArray
 
 Parts = Callable[[FloatArray, FloatArray, FloatArray], dict[str, FloatArray]]
 LoadEffort = Callable[[Payload, FloatArray, FloatArray, FloatArray], FloatArray]

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.typing import FloatArray
-from hil.data.dataset import Conditions, Dataset
+from hil.arms import Payload
+from hil.core import FloatArray
+from hil.data import Conditions, Dataset
 from hil.estimators.base import RobotEstimator
 
 

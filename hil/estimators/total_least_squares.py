@@ -15,8 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.core.errors import FitError
-from hil.core.typing import BoolArray, FloatArray
+from hil.core import BoolArray, FitError, FloatArray
 from hil.estimators.compress import upper_triangle
 
 LEAST_GAP = 1.02

@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.typing import FloatArray
-from hil.data.dataset import Dataset
-from hil.data.fingerprints import Sketch
+from hil.arms import Payload
+from hil.core import FloatArray
+from hil.data import Dataset, Sketch
 
 ROWS_ARRAY = "training_rows"
 """Array of the model file that holds the sketch."""

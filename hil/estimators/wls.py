@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.typing import FloatArray
-from hil.data.dataset import Dataset
-from hil.data.prediction import Prediction, Stream
+from hil.arms import Payload
+from hil.core import FloatArray
+from hil.data import Dataset, Prediction, Stream
 from hil.estimators.base import RobotEstimator, chunks, payload_torque
 from hil.estimators.checks import require_rank
 from hil.estimators.compress import JointwiseQR

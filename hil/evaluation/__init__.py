@@ -1,15 +1,5 @@
 """Errors per joint, trajectory and load, and the verdict against a spec's criteria."""
 
-from hil.evaluation.evaluation import Errors, Evaluation, evaluate, filtered_effort
-from hil.evaluation.verdict import Criterion, Verdict, VerdictRow, judge
+import lazy_loader
 
-__all__ = [
-    "Criterion",
-    "Errors",
-    "Evaluation",
-    "Verdict",
-    "VerdictRow",
-    "evaluate",
-    "filtered_effort",
-    "judge",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -6,13 +6,17 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal, get_args
 
-from hil.core.errors import DataError, SpecError
-from hil.core.suggest import did_you_mean
-from hil.data.dataset import Dataset, SeriesKind
+from hil.core import DataError, SpecError, did_you_mean
+from hil.data import Dataset, SeriesKind
 from hil.dynamics import load_model
-from hil.estimators.gains import Gains, calibrate_gains
-from hil.estimators.gains_without_load import ControllerGains, controller_gains, shows_controller
-from hil.importers.load import load_source
+from hil.estimators import (
+    ControllerGains,
+    Gains,
+    calibrate_gains,
+    controller_gains,
+    shows_controller,
+)
+from hil.importers import load_source
 
 GainsMethod = Literal["auto", "known-loads", "controller"]
 

@@ -18,11 +18,20 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.typing import BoolArray, FloatArray
-from hil.data.dataset import Conditions, Dataset
-from hil.data.filters import AT_REST, sample_rate, shortest_series, zero_phase
-from hil.data.metrics import correlation, mep, nrmse, rmse
-from hil.data.prediction import Model
+from hil.core import BoolArray, FloatArray
+from hil.data import (
+    AT_REST,
+    Conditions,
+    Dataset,
+    Model,
+    correlation,
+    mep,
+    nrmse,
+    rmse,
+    sample_rate,
+    shortest_series,
+    zero_phase,
+)
 
 MEASURED_CUTOFF = 0.20
 """Of the Nyquist frequency."""
@@ -105,7 +114,7 @@ class Evaluation:
 
     def _repr_html_(self) -> str:
         """Itself in a notebook."""
-        from hil.core.notebook import card, number
+        from hil.core import card, number
 
         total = self.total
         facts = {

@@ -16,19 +16,20 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from hil.arms.payload import Payload
-from hil.core.errors import DataError, FitError, RecordingError, SpecError
-from hil.core.extras import require_installed
-from hil.core.typing import FloatArray
-from hil.data.dataset import Dataset
-from hil.data.splits import assert_disjoint
+from hil.arms import Payload
+from hil.core import DataError, FitError, FloatArray, RecordingError, SpecError, require_installed
+from hil.data import Dataset, assert_disjoint
 from hil.dynamics import RobotModel, load_model
-from hil.estimators.base import RobotEstimator
-from hil.estimators.base import estimator as make_estimator
-from hil.estimators.gains_file import DriveGains
-from hil.estimators.model_file import load_model_file, model_files, write_whole
-from hil.estimators.training import Training
-from hil.evaluation import evaluate
+from hil.estimators import (
+    DriveGains,
+    RobotEstimator,
+    Training,
+    load_model_file,
+    model_files,
+    write_whole,
+)
+from hil.estimators import estimator as make_estimator
+from hil.evaluation.evaluation import evaluate
 from hil.evaluation.validation import (
     EVALUATION_FILE,
     Validation,
@@ -38,9 +39,8 @@ from hil.evaluation.validation import (
     serial_notes,
 )
 from hil.evaluation.validation_load import under_load
-from hil.importers.load import load_source, require_arm_as_recorded, serial_of, with_payload
-from hil.networks.training_loop.attached import attach, keeps_checkpoints
-from hil.networks.training_loop.problem import HearsBeginning, Watch
+from hil.importers import load_source, require_arm_as_recorded, serial_of, with_payload
+from hil.networks import HearsBeginning, Watch, attach, keeps_checkpoints
 
 DIGEST_LENGTH = 12
 
@@ -80,7 +80,7 @@ class FitReport:
 
     def _repr_html_(self) -> str:
         """Itself in a notebook: a row per held-out source."""
-        from hil.core.notebook import card, number
+        from hil.core import card, number
 
         model = self.fitted.model
         unit = "A" if model.effort_kind_ == "current" else "N·m"

@@ -6,10 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
-from hil.core.errors import DataError
-from hil.data.dataset import Conditions, Dataset
-from hil.data.splits import Group, assert_disjoint, group_of, groups, split
-from hil.spec.experiment import HoldOut
+from hil.core import DataError
+from hil.data import Conditions, Dataset, Group, assert_disjoint, group_of, groups, split
+from hil.spec import HoldOut
 
 Motion: TypeAlias = tuple[str, Group]
 """`pose` or `trajectory`, and which one."""

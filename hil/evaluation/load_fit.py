@@ -10,19 +10,23 @@ from typing import Literal
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from hil.core.errors import DataError, SpecError
-from hil.data.dataset import Dataset
-from hil.dynamics.weighing import CALIBRATED_SHARE, GAIN_SHARE
-from hil.estimators.base import RobotEstimator
-from hil.estimators.gain_lines import calibrated
-from hil.estimators.model_file import load_model_file
-from hil.estimators.payload_estimate import PayloadEstimate
-from hil.estimators.payload_fit import estimate_payload, require_friction, require_one_load
-from hil.estimators.payload_problem import Friction
-from hil.estimators.payload_rest import estimate_payload_at_rest
+from hil.core import DataError, SpecError
+from hil.data import Dataset
+from hil.dynamics import CALIBRATED_SHARE, GAIN_SHARE
+from hil.estimators import (
+    Friction,
+    PayloadEstimate,
+    RobotEstimator,
+    calibrated,
+    estimate_payload,
+    estimate_payload_at_rest,
+    load_model_file,
+    require_friction,
+    require_one_load,
+)
 from hil.evaluation.fitting import usable_part
 from hil.evaluation.validation import require_unseen, serial_notes
-from hil.importers.load import load_source
+from hil.importers import load_source
 
 
 def payload_of_sources(

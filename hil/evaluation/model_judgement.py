@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hil.estimators.base import HONEST
-from hil.evaluation import Criterion, Evaluation, Verdict, evaluate, judge
+from hil.estimators import HONEST
+from hil.evaluation.evaluation import Evaluation, evaluate
 from hil.evaluation.fitting import Fitted
 from hil.evaluation.holdout import Parts
-from hil.evaluation.verdict import Metric
-from hil.spec.experiment import Accept
+from hil.evaluation.verdict import Criterion, Metric, Verdict, judge
+from hil.spec import Accept
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from hil.core.errors import DataError, HilError
-from hil.core.files import read_json
-from hil.spec.experiment import Accept
+from hil.core import DataError, HilError, read_json
+from hil.spec import Accept
 
 VerdictWord = Literal["passed", "rejected", "not judged"]
 

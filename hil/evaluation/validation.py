@@ -12,15 +12,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import DataError
-from hil.data.dataset import Dataset
-from hil.data.fingerprints import revisited
-from hil.data.splits import SAME_SHARE
-from hil.estimators.base import RobotEstimator
-from hil.estimators.model_file import json_bytes, write_whole
-from hil.evaluation import Evaluation
+from hil.core import DataError
+from hil.data import SAME_SHARE, Dataset, revisited
+from hil.estimators import RobotEstimator, json_bytes, write_whole
+from hil.evaluation.evaluation import Evaluation
 from hil.evaluation.validation_load import UnderLoad
-from hil.importers.load import serial_of
+from hil.importers import serial_of
 
 EVALUATION_FILE = "evaluation.json"
 
@@ -49,7 +46,7 @@ class Validation:
 
     def _repr_html_(self) -> str:
         """Itself in a notebook."""
-        from hil.core.notebook import card
+        from hil.core import card
 
         return card("Validation on", self.source, {}, notes=self.notes) + self.errors._repr_html_()
 

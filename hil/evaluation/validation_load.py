@@ -13,16 +13,19 @@ from typing import Any
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.errors import HilError
-from hil.core.typing import FloatArray
-from hil.data.dataset import Dataset
-from hil.estimators.base import RobotEstimator
-from hil.estimators.payload_cross_validation import halves, payload_halves
-from hil.estimators.payload_declared import Declaration, check_declarations
-from hil.estimators.payload_estimate import PayloadEstimate
-from hil.estimators.payload_fit import estimate_payload
-from hil.estimators.payload_problem import with_identified
+from hil.arms import Payload
+from hil.core import FloatArray, HilError
+from hil.data import Dataset
+from hil.estimators import (
+    Declaration,
+    PayloadEstimate,
+    RobotEstimator,
+    check_declarations,
+    estimate_payload,
+    halves,
+    payload_halves,
+    with_identified,
+)
 from hil.evaluation.evaluation import filtered_effort
 
 

@@ -8,7 +8,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from hil.core.errors import SpecError
+from hil.core import SpecError
 from hil.evaluation.evaluation import Errors, Evaluation
 
 Metric = Literal["rmse_raw", "rmse_filtered", "nrmse", "mep"]

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.excitation.information import Information, Regressor
 from hil.excitation.motion import FourierSeries, Samples
 from hil.excitation.setting import Setting

@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hil.core.errors import PlanError
-from hil.core.typing import FloatArray
+from hil.core import FloatArray, PlanError
 from hil.excitation.motion import STANDSTILL_RAD, Line
 from hil.excitation.roadmap import Roadmap
 from hil.excitation.visit import Action, Program, Visit

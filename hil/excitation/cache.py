@@ -15,8 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import HilError, RecordingError
-from hil.core.files import json_document, read_json, write_replacing
+from hil.core import HilError, RecordingError, json_document, read_json, write_replacing
 from hil.excitation.motion import FourierSeries, motion_from_dict
 
 FORMAT = 1

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.excitation.motion import FourierSeries
 from hil.excitation.workspace import Workspace
-from hil.spec.experiment import Fourier
+from hil.spec import Fourier
 
 SHRINKAGE = np.array([1.0, 0.8, 0.64, 0.5, 0.4, 0.3])
 """Tried from the largest: small motions excite little."""

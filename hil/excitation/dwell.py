@@ -7,15 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.core.errors import PlanError, SpecError
-from hil.core.typing import FloatArray
+from hil.core import FloatArray, PlanError, SpecError
 from hil.excitation.motion import Motion
 from hil.excitation.poses import draw_poses
 from hil.excitation.roadmap import Roadmap
 from hil.excitation.visit import Program, Visit, pose_visit
 from hil.excitation.waypoint_file import WaypointFile, read_waypoints, shortened
 from hil.excitation.workspace import Workspace, ways_out
-from hil.spec.experiment import Dwell
+from hil.spec import Dwell
 
 SPARE_SHARE = 0.05
 """Poses drawn beyond those asked for, to stand in for unreachable ones."""

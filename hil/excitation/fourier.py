@@ -14,8 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.core.errors import PlanError
-from hil.core.typing import FloatArray
+from hil.core import FloatArray, PlanError
 from hil.excitation.coefficients import (
     POINTS_PER_HARMONIC,
     SHRINKAGE,
@@ -32,7 +31,7 @@ from hil.excitation.roadmap import Roadmap
 from hil.excitation.setting import Setting
 from hil.excitation.visit import Action, Program, Visit
 from hil.excitation.workspace import Workspace
-from hil.spec.experiment import Fourier
+from hil.spec import Fourier
 
 CANDIDATES = 6
 """Feasible draws among which the best conditioned one is kept."""

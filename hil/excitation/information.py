@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy.linalg
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 
 if TYPE_CHECKING:
-    from hil.dynamics.robot_model import RobotModel
+    from hil.dynamics import RobotModel
 
 SIGN_WIDTH_RAD_S = 0.01
 """Of tanh(qd / width), which stands for the sign in Coulomb columns."""

@@ -13,8 +13,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from hil.core.errors import PlanError
-from hil.core.typing import FloatArray
+from hil.core import FloatArray, PlanError
 from hil.excitation.profile import Profile, rest_to_rest
 
 STANDSTILL_RAD = 1e-9

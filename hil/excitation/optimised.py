@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hil.core.errors import PlanError, RecordingError
+from hil.core import PlanError, RecordingError
 from hil.excitation.cache import DamagedEntry
 from hil.excitation.motion import FourierSeries
 from hil.excitation.question import Question

@@ -7,8 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hil.core.errors import PlanError
-from hil.core.typing import FloatArray
+from hil.core import FloatArray, PlanError
 from hil.excitation.workspace import Workspace
 
 BLOCK = 1024

@@ -12,8 +12,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from hil.core.errors import PlanError
-from hil.core.typing import FloatArray
+from hil.core import FloatArray, PlanError
 
 LONGEST_S = 7600.0
 """Ruckig warrants its precision up to here."""

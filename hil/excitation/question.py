@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hil.core.errors import PlanError
+from hil.core import PlanError
 from hil.excitation.cache import digest
 from hil.excitation.motion import FourierSeries
 from hil.excitation.setting import Setting
 from hil.excitation.workspace import Workspace
-from hil.spec.experiment import Fourier
-from hil.spec.optimise import Optimise
+from hil.spec import Fourier, Optimise
 
 if TYPE_CHECKING:
     from hil.excitation.optimiser import ExcitationProblem

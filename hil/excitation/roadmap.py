@@ -14,8 +14,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hil.core.errors import PlanError
-from hil.core.typing import BoolArray, FloatArray, IntArray
+from hil.core import BoolArray, FloatArray, IntArray, PlanError
 from hil.excitation.motion import STANDSTILL_RAD, Line
 from hil.excitation.workspace import Workspace
 

@@ -6,12 +6,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
-from hil.arms.payload import Payload
-from hil.core.typing import FloatArray
+from hil.arms import Payload
+from hil.core import FloatArray
 from hil.excitation.cache import ExcitationCache
 
 if TYPE_CHECKING:
-    from hil.dynamics.robot_model import RobotModel
+    from hil.dynamics import RobotModel
     from hil.excitation.optimiser import Distances
 
 

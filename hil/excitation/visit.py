@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.excitation.motion import Hold, Motion
 from hil.excitation.roadmap import Roadmap
 from hil.excitation.workspace import Workspace

@@ -11,9 +11,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from hil.core.errors import SpecError
-from hil.core.source import shown
-from hil.core.typing import FloatArray
+from hil.core import FloatArray, SpecError, shown
 
 AngleUnit: TypeAlias = Literal["deg", "rad"]
 

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from hil.core.typing import BoolArray, FloatArray
+from hil.core import BoolArray, FloatArray
 from hil.excitation.motion import Line, Motion
 
 ROWS_AT_ONCE = 16_384

@@ -6,9 +6,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.errors import FitError
-from hil.core.typing import FloatArray
+from hil.arms import Payload
+from hil.core import FitError, FloatArray
 from hil.export.golden import AGREES, LOAD, Golden
 
 FAINT, NOTHING = 1e-4, 1e-9

@@ -10,8 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from hil.estimators.friction.library import ORDERS
-from hil.estimators.friction.motion import MULTIPLES
+from hil.estimators import MULTIPLES, ORDERS
 
 GROUPS: Mapping[str, tuple[str, ...]] = {
     "core": ("1.0", "v", "z1"),

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.export import c_dense_text as text
 from hil.export.c_activations import NAMES, TIMES, typed
 from hil.export.c_text import Kind, array

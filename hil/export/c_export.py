@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from hil.estimators.base import RobotEstimator
+from hil.estimators import RobotEstimator
 from hil.export.c_build import built, require_compiler, self_tested
 from hil.export.c_program import CSource, c_source
 from hil.export.c_size import size_note

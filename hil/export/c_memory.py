@@ -7,10 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from hil.core.typing import FloatArray
-from hil.estimators.friction.law import PARTS, FrictionLaw
-from hil.estimators.friction.library import ORDERS
-from hil.estimators.friction.motion import MULTIPLES, REFERENCE_C, RIPPLE_FADES_RAD_S
+from hil.core import FloatArray
+from hil.estimators import MULTIPLES, ORDERS, PARTS, REFERENCE_C, RIPPLE_FADES_RAD_S, FrictionLaw
 from hil.export.c_columns import GROUPS, LAWS, PEAKS, SUMS
 from hil.export.c_text import Piece, number
 from hil.export.program import terms_of

@@ -9,12 +9,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hil.core.errors import FitError
+from hil.core import FitError
 from hil.export import c_network_text as text
 from hil.export.c_network_weights import BLOCK, CellWeights, cell_weights
 from hil.export.c_text import Kind, Piece, array, number
-from hil.networks.residual.correction import Correction
-from hil.networks.residual.settings import ResidualSettings
+from hil.networks import Correction, ResidualSettings
 
 ARRAYS: dict[str, tuple[str, Kind]] = {
     "mean": ("means", "double"),

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.core.typing import FloatArray
-from hil.networks.residual.correction import Correction
-from hil.networks.residual.trained import TrainedTcn
+from hil.core import FloatArray
+from hil.networks import Correction, TrainedTcn
 
 BLOCK = 4
 """Channels and inputs are filled up to a multiple with zeros: loops go by so many at once."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from hil.core.errors import SpecError
+from hil.core import SpecError
 from hil.export.c_friction import friction_piece
 from hil.export.c_lagrangian import lagrangian_piece
 from hil.export.c_memory import knows_warmth

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 
 Kind = Literal["double", "float"]
 

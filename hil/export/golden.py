@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.typing import FloatArray
+from hil.arms import Payload
+from hil.core import FloatArray
 from hil.dynamics import RobotModel
-from hil.estimators.base import RobotEstimator
-from hil.networks.residual.fitted import CorrectedModel
+from hil.estimators import RobotEstimator
+from hil.networks import CorrectedModel
 
 RATE_HZ = 250.0
 SAMPLES = 300

@@ -12,16 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.core.errors import FitError
-from hil.core.typing import FloatArray
-from hil.data.prediction import Prediction
-from hil.dynamics import base_parameters, friction_terms
-from hil.dynamics.base import BaseParameters
-from hil.dynamics.physical_consistency import is_consistent
-from hil.estimators.base import RobotEstimator
-from hil.estimators.consistent import consistent_least_squares
-from hil.estimators.inertial_bounds import InertialBounds
-from hil.estimators.torque_request import motion_of
+from hil.core import FitError, FloatArray
+from hil.data import Prediction
+from hil.dynamics import BaseParameters, base_parameters, friction_terms, is_consistent
+from hil.estimators import InertialBounds, RobotEstimator, consistent_least_squares, motion_of
 
 SAMPLES = 400
 SPEED_RAD_S = 1.0

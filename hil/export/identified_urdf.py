@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.errors import FitError
-from hil.dynamics import RobotModel
-from hil.dynamics.robot_model import GRAVITY
-from hil.estimators.base import RobotEstimator
+from hil.core import FitError
+from hil.dynamics import GRAVITY, RobotModel
+from hil.estimators import RobotEstimator
 from hil.export.exported import Exported, require_new, write_file
 from hil.export.identified_parameters import IdentifiedParameters, identified_parameters
 from hil.export.urdf_check import Miss, missed, require_near, words

@@ -7,21 +7,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hil.core.errors import FitError
-from hil.core.typing import FloatArray
+from hil.core import FitError, FloatArray
 from hil.dynamics import base_parameters
-from hil.estimators.base import RobotEstimator
-from hil.estimators.rigid_hysteresis import RigidHysteresis
-from hil.estimators.rigid_linear import RigidLinear
-from hil.estimators.static_model import StaticModel
-from hil.estimators.torque_request import motion_of
+from hil.estimators import RigidHysteresis, RigidLinear, RobotEstimator, StaticModel, motion_of
 from hil.export.golden import LOAD, RATE_HZ, golden_of
 from hil.export.json_columns import Document, friction_torque
 from hil.export.json_read import combined, links_of, rigid_torque, torque_per_effort
 from hil.export.json_rest import at_rest
 from hil.export.program import bodies
-from hil.networks.lagrangian.fitted import LagrangianModel
-from hil.networks.residual.fitted import CorrectedModel
+from hil.networks import CorrectedModel, LagrangianModel
 
 EXACT = 1e-9
 """Largest difference as a share of each joint's largest value: numbers are written in full."""
@@ -149,7 +143,7 @@ def _computed(
 
 def _curve(physics: LagrangianModel) -> Compared:
     """Friction alone, at steady speeds: in efforts its rounding is that of the whole network."""
-    from hil.networks.lagrangian.stored import network_of
+    from hil.networks import network_of
 
     network = network_of(physics.design_, physics.torque_std_, physics.weights_)
     qd = _creeping(physics.robot_.n)[1]

@@ -11,13 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.dynamics import BaseParameters, RobotModel
-from hil.estimators.base import RobotEstimator
-from hil.estimators.rigid_classical import RigidClassical
-from hil.estimators.static_inverse import StaticInverse
-from hil.estimators.static_model import StaticModel
-from hil.estimators.wls import WlsEstimator
+from hil.estimators import RigidClassical, RobotEstimator, StaticInverse, StaticModel, WlsEstimator
 from hil.export.json_terms import Term
 
 Entry = dict[str, Any]

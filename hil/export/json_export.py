@@ -6,16 +6,15 @@ import json
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import FitError
-from hil.estimators.base import RobotEstimator
-from hil.estimators.model_file import json_bytes
+from hil.core import FitError
+from hil.estimators import RobotEstimator, json_bytes
 from hil.export.exported import Exported, require_new, write_file
 from hil.export.json_check import checked
 from hil.export.json_entries import conditions_of
 from hil.export.json_friction import friction_part, networks_part
 from hil.export.json_parameters import parameters_of
 from hil.export.json_robot import effort_part, links_part, model_part, robot_part, sigma_part
-from hil.networks.residual.fitted import CorrectedModel
+from hil.networks import CorrectedModel
 
 FORMAT = 1
 """Grows when a reader of older documents would misread a new one."""

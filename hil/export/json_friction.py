@@ -6,22 +6,24 @@ from typing import Any
 
 import numpy as np
 
-from hil.estimators.base import RobotEstimator
-from hil.estimators.diffnea.forms import LEAST_SPEED
-from hil.estimators.friction.motion import REFERENCE_C, RIPPLE_FADES_RAD_S
-from hil.estimators.rigid_diffnea import RigidDiffnea
-from hil.estimators.rigid_hysteresis import RigidHysteresis
-from hil.estimators.rigid_irls import NARROWEST, RigidIrls
-from hil.estimators.rigid_linear import RigidLinear
-from hil.estimators.static_friction import StaticFriction
-from hil.estimators.static_hysteresis import StaticHysteresis
-from hil.estimators.static_inverse import StaticInverse
-from hil.estimators.static_model import StaticModel
+from hil.estimators import (
+    LEAST_SPEED,
+    NARROWEST,
+    REFERENCE_C,
+    RIPPLE_FADES_RAD_S,
+    RigidDiffnea,
+    RigidHysteresis,
+    RigidIrls,
+    RigidLinear,
+    RobotEstimator,
+    StaticFriction,
+    StaticHysteresis,
+    StaticInverse,
+    StaticModel,
+)
 from hil.export.json_terms import NETWORK
 from hil.export.lagrangian_terms import LEAST_SPEED as LEAST_NETWORK_SPEED
-from hil.networks.lagrangian.fitted import LagrangianModel
-from hil.networks.residual.fitted import CorrectedModel
-from hil.networks.static_network import StaticMlpLm
+from hil.networks import CorrectedModel, LagrangianModel, StaticMlpLm
 
 STORED = "model.safetensors"
 

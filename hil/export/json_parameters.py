@@ -7,18 +7,20 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from hil.dynamics import base_parameters
-from hil.estimators.base import RobotEstimator
-from hil.estimators.friction.law import FrictionLaw
-from hil.estimators.friction.library import column_names
-from hil.estimators.gravity import PaperGravity
-from hil.estimators.rigid_diffnea import RigidDiffnea
-from hil.estimators.rigid_hysteresis import RigidHysteresis
-from hil.estimators.rigid_irls import RigidIrls
-from hil.estimators.rigid_linear import RigidLinear
-from hil.estimators.static_friction import StaticFriction
-from hil.estimators.static_inverse import StaticInverse
-from hil.estimators.static_model import StaticModel
-from hil.estimators.wls import WlsEstimator
+from hil.estimators import (
+    FrictionLaw,
+    PaperGravity,
+    RigidDiffnea,
+    RigidHysteresis,
+    RigidIrls,
+    RigidLinear,
+    RobotEstimator,
+    StaticFriction,
+    StaticInverse,
+    StaticModel,
+    WlsEstimator,
+    column_names,
+)
 from hil.export.json_entries import (
     NOT_FITTED,
     NOT_TOLD,
@@ -46,8 +48,7 @@ from hil.export.json_terms import (
     library_term,
     rest_term,
 )
-from hil.networks.lagrangian.fitted import LagrangianModel
-from hil.networks.residual.fitted import CorrectedModel
+from hil.networks import CorrectedModel, LagrangianModel
 
 
 def parameters_of(model: RobotEstimator) -> list[Entry]:

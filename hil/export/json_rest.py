@@ -8,15 +8,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.typing import FloatArray
-from hil.data.approach_path import POINTS, STEP_S
-from hil.estimators.base import estimator
-from hil.estimators.motor import has_current
-from hil.estimators.static_friction import StaticFriction
-from hil.estimators.static_inverse import StaticInverse
-from hil.estimators.static_model import StaticModel
-from hil.estimators.torque_request import dwells_of
+from hil.arms import Payload
+from hil.core import FloatArray
+from hil.data import POINTS, STEP_S
+from hil.estimators import (
+    StaticFriction,
+    StaticInverse,
+    StaticModel,
+    dwells_of,
+    estimator,
+    has_current,
+)
 from hil.export.golden import LOAD, RATE_HZ, SAMPLES, motion
 from hil.export.json_columns import Document, friction_torque, rest_states
 from hil.export.json_read import of_joints, paper_gravity, rigid_torque, torque_per_effort

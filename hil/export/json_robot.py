@@ -8,19 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from hil.dynamics import RobotModel
-from hil.dynamics.inertial import about_centre
-from hil.estimators.base import RobotEstimator
-from hil.estimators.model_file import model_files
-from hil.estimators.model_folder import MODEL_FILE
-from hil.estimators.rigid_hysteresis import RigidHysteresis
-from hil.estimators.static_hysteresis import StaticHysteresis
+from hil.dynamics import RobotModel, about_centre
+from hil.estimators import (
+    MODEL_FILE,
+    RigidHysteresis,
+    RobotEstimator,
+    StaticHysteresis,
+    model_files,
+)
 from hil.export.exported import effort_unit
 from hil.export.json_parameters import torque_unit
 from hil.export.reading import flange_in_last_joint
-from hil.networks.lagrangian.fitted import LagrangianModel
-from hil.networks.residual.fitted import CorrectedModel
-from hil.networks.static_network import StaticMlpLm
+from hil.networks import CorrectedModel, LagrangianModel, StaticMlpLm
 
 CHOICE = (
     "one set of links that can exist and has these torques: a single link's mass is a choice among "

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from hil.estimators.friction.motion import REFERENCE_C
+from hil.estimators import REFERENCE_C
 
 TORQUE, DAMPING = "N·m", "N·m·s/rad"
 

@@ -8,12 +8,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.export.program import PlainFriction
 from hil.export.shaped import ShapedFriction
-from hil.networks.lagrangian.fitted import LagrangianModel
-from hil.networks.lagrangian.friction_settings import FrictionKind
-from hil.networks.lagrangian.settings import Activation
+from hil.networks import Activation, FrictionKind, LagrangianModel
 
 LEAST_REST_SPEED = 1e-4
 LEAST_SPEED = 1e-6
@@ -85,7 +83,7 @@ class NetworkFriction:
 
 def lagrangian_terms(model: LagrangianModel) -> LagrangianTerms:
     """Those of a fitted `lagrangian`."""
-    from hil.networks.lagrangian.stored import network_of
+    from hil.networks import network_of
 
     settings = model.design_.network
     of_factor = settings.epsilon_of == "factor"

@@ -14,10 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from hil.core import plugins
-from hil.core.errors import FitError
-from hil.core.typing import FloatArray
-from hil.estimators.base import RobotEstimator
+from hil.core import FitError, FloatArray, plugins
+from hil.estimators import RobotEstimator
 from hil.export.agreement import FAULT, scale_of
 from hil.export.exported import Exported, effort_unit, require_new, write_file
 from hil.export.golden import AGREES, RATE_HZ, SAMPLES, motion

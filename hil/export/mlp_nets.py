@@ -13,14 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import block_diag
 
-from hil.core.errors import FitError
-from hil.core.typing import BoolArray, FloatArray
-from hil.estimators.base import RobotEstimator
+from hil.core import BoolArray, FitError, FloatArray
+from hil.estimators import RobotEstimator
 from hil.export.exported import effort_unit
 from hil.export.lagrangian_terms import LagrangianTerms, lagrangian_terms
-from hil.networks.lagrangian.fitted import LagrangianModel
-from hil.networks.network_inputs import position_inputs, positions_only
-from hil.networks.static_network import StaticMlpLm
+from hil.networks import LagrangianModel, StaticMlpLm, position_inputs, positions_only
 
 OPERATORS = {"softplus": "Softplus", "relu": "Relu", "tanh": "Tanh", "sin": "Sin", "linear": ""}
 """Activations that all runtimes of this kind know, as ONNX calls them; a chain adds no others."""
@@ -185,7 +182,7 @@ def _trunk_says(model: LagrangianModel, scale: FloatArray) -> Callable[[FloatArr
     def says(q: FloatArray) -> FloatArray:
         import torch
 
-        from hil.networks.lagrangian.stored import network_of
+        from hil.networks import network_of
 
         network = network_of(model.design_, model.torque_std_, model.weights_).double()
         with torch.no_grad():

@@ -10,9 +10,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hil.core import plugins
-from hil.core.typing import FloatArray
-from hil.estimators.base import RobotEstimator
+from hil.core import FloatArray, plugins
+from hil.estimators import RobotEstimator
 from hil.export.agreement import Step, require_agreement
 from hil.export.exported import Exported, require_new, write_file
 from hil.export.golden import golden_of

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 
 import onnx
 
-from hil.core.errors import FitError
+from hil.core import FitError
 from hil.export.agreement import FAULT
 
 ROWS = "rows"

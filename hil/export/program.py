@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hil.core.typing import FloatArray
-from hil.dynamics.build import JointGeometry
-from hil.estimators.friction.law import FrictionLaw
-from hil.networks.residual.correction import Correction
+from hil.core import FloatArray
+from hil.dynamics import JointGeometry
+from hil.estimators import FrictionLaw
+from hil.networks import Correction
 
 if TYPE_CHECKING:
     from hil.export.lagrangian_terms import LagrangianTerms, NetworkFriction

@@ -6,21 +6,22 @@ from dataclasses import replace
 
 import numpy as np
 
-from hil.core.errors import FitError
-from hil.core.typing import FloatArray
+from hil.core import FitError, FloatArray
 from hil.dynamics import RobotModel, base_parameters
-from hil.estimators.base import RobotEstimator
-from hil.estimators.friction.law import FrictionLaw
-from hil.estimators.rigid_diffnea import RigidDiffnea
-from hil.estimators.rigid_hysteresis import RigidHysteresis
-from hil.estimators.rigid_irls import NARROWEST
-from hil.estimators.rigid_linear import TERMS, RigidLinear
-from hil.estimators.static_model import StaticModel
+from hil.estimators import (
+    NARROWEST,
+    TERMS,
+    FrictionLaw,
+    RigidDiffnea,
+    RigidHysteresis,
+    RigidLinear,
+    RobotEstimator,
+    StaticModel,
+)
 from hil.export.lagrangian_terms import NetworkFriction, lagrangian_friction, lagrangian_terms
 from hil.export.program import BODY, PlainFriction, Program, bodies
 from hil.export.shaped import ShapedFriction, shaped_of
-from hil.networks.lagrangian.fitted import LagrangianModel
-from hil.networks.residual.fitted import CorrectedModel
+from hil.networks import CorrectedModel, LagrangianModel
 
 
 class NotExported(FitError):

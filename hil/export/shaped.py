@@ -13,9 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.core.typing import FloatArray
-from hil.estimators.diffnea.forms import FORMS, LEAST_SPEED
-from hil.estimators.rigid_diffnea import RigidDiffnea
+from hil.core import FloatArray
+from hil.estimators import FORMS, LEAST_SPEED, RigidDiffnea
 from hil.export.program import PlainFriction
 
 

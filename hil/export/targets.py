@@ -6,11 +6,10 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from hil.core.errors import DataError, SpecError
-from hil.core.suggest import did_you_mean
+from hil.core import DataError, SpecError, did_you_mean
 
 if TYPE_CHECKING:
-    from hil.estimators.base import RobotEstimator
+    from hil.estimators import RobotEstimator
 
 TARGETS = {
     "c": ("hil.export.c_export", "export_c"),

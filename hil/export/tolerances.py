@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.export.agreement import scale_of
 from hil.export.golden import Golden
 from hil.export.lagrangian_terms import NetworkFriction

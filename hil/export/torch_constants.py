@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 
 
 def hold(module: nn.Module, dtype: torch.dtype = torch.float64, /, **constants: FloatArray) -> None:

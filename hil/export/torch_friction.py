@@ -8,9 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from hil.core.typing import FloatArray
-from hil.estimators.friction.law import FrictionLaw
-from hil.estimators.friction.motion import MULTIPLES, REFERENCE_C, RIPPLE_FADES_RAD_S
+from hil.core import FloatArray
+from hil.estimators import MULTIPLES, REFERENCE_C, RIPPLE_FADES_RAD_S, FrictionLaw
 from hil.export.c_columns import GROUPS, LAWS, PEAKS
 from hil.export.program import PlainFriction, terms_of
 from hil.export.torch_constants import hold

@@ -17,8 +17,7 @@ from hil.export.program import Program
 from hil.export.torch_constants import hold
 from hil.export.torch_friction import Carried
 from hil.export.torch_rigid import RigidTorque
-from hil.networks.lagrangian.network import LagrangianNetwork
-from hil.networks.lagrangian.settings import NetworkSettings
+from hil.networks import LagrangianNetwork, NetworkSettings
 
 SINGLE = torch.float32
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from torch import nn
 
-from hil.estimators.base import RobotEstimator
+from hil.estimators import RobotEstimator
 from hil.export.exported import effort_unit
 from hil.export.reading import program_of
 from hil.export.torch_program import ProgramModule

@@ -10,11 +10,11 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.export.c_network_weights import CellWeights, cell_weights
 from hil.export.torch_constants import hold
 from hil.export.torch_friction import Carried
-from hil.networks.residual.correction import Correction
+from hil.networks import Correction
 
 
 class StreamingTcn(nn.Module):

@@ -15,8 +15,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from hil.core.typing import FloatArray
-from hil.dynamics.inertial import skew
+from hil.core import FloatArray
+from hil.dynamics import skew
 from hil.export.program import Program
 from hil.export.torch_constants import hold
 

@@ -8,10 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.core.errors import FitError
-from hil.core.typing import FloatArray
+from hil.core import FitError, FloatArray
 from hil.dynamics import RobotModel
-from hil.estimators.base import RobotEstimator
+from hil.estimators import RobotEstimator
 from hil.export.agreement import FAULT, scale_of
 from hil.export.golden import RATE_HZ, SAMPLES, motion
 from hil.export.identified_parameters import (

@@ -8,9 +8,8 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from hil.core.typing import FloatArray
-from hil.dynamics import RobotModel
-from hil.dynamics.inertial import about_centre
+from hil.core import FloatArray
+from hil.dynamics import RobotModel, about_centre
 from hil.export.identified_parameters import IdentifiedParameters
 
 UNLIMITED = 1e9

@@ -4,7 +4,6 @@ Runs and MCAP files, CSV, MATLAB, ROS 2 bags, ur_rtde, one value per line; `hil.
 imports none of this.
 """
 
-from hil.importers.import_map import ImportMap, load_map
-from hil.importers.importer import ImportReport, import_file
+import lazy_loader
 
-__all__ = ["ImportMap", "ImportReport", "import_file", "load_map"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -8,11 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.core import plugins
-from hil.core.errors import DataError
-from hil.core.quick_yaml import look_into
-from hil.core.suggest import did_you_mean
-from hil.core.typing import FloatArray, IntArray
+from hil.core import DataError, FloatArray, IntArray, did_you_mean, look_into, plugins
 from hil.importers.import_map import ImportMap
 from hil.importers.raw import Raw
 

@@ -6,7 +6,7 @@ from bisect import bisect_left
 
 import numpy as np
 
-from hil.core.typing import BoolArray, FloatArray, IntArray
+from hil.core import BoolArray, FloatArray, IntArray
 from hil.importers.raw import Raw
 
 ABSURD = 1e6

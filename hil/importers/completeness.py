@@ -15,14 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.core.errors import DataError
-from hil.core.typing import BoolArray, FloatArray, StructArray
-from hil.planning.plan import DwellRule, Plan, Step
-from hil.recording.parts import attempt_of
-from hil.recording.reader import read_topic
-from hil.recording.writer import PARTIAL_SUFFIX
-from hil.robot.state import Status, n_joints_of, state_dtype
-from hil.robot.topic import STATE_TOPIC
+from hil.core import BoolArray, DataError, FloatArray, StructArray
+from hil.planning import DwellRule, Plan, Step
+from hil.recording import PARTIAL_SUFFIX, attempt_of, read_topic
+from hil.robot import STATE_TOPIC, Status, n_joints_of, state_dtype
 
 MISSING_AT_MOST = 0.05
 """Share of a trajectory's samples; one that lacks more has to be measured again."""

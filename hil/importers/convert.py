@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hil.arms import arm_names, load_arm
-from hil.core.errors import DataError
-from hil.core.typing import FloatArray
+from hil.core import DataError, FloatArray
 from hil.importers.checks import check_jumps, check_time, check_values
 from hil.importers.import_map import ImportMap, Quantity
 from hil.importers.raw import Raw

@@ -14,14 +14,12 @@ from typing import Any, Literal
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.errors import DataError
-from hil.core.source import shown
-from hil.core.typing import FloatArray
-from hil.data.dataset import SeriesKind
-from hil.data.dwells import DwellRule as StayRule
+from hil.arms import Payload
+from hil.core import DataError, FloatArray, shown
+from hil.data import DwellRule as StayRule
+from hil.data import SeriesKind
 from hil.importers.series import Origin, StepNote
-from hil.planning.plan import DwellRule
+from hil.planning import DwellRule
 
 _LISTS = ("joint_names", "drive_gains")
 

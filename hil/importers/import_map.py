@@ -16,14 +16,10 @@ from pydantic import (
     model_validator,
 )
 
-from hil.arms.payload import Payload
-from hil.core.source import Problem, refuse, shown
-from hil.core.yaml_source import read_source
+from hil.arms import Payload
+from hil.core import Problem, read_source, refuse, shown
 from hil.importers.units import QUANTITY_DIMENSIONS, unit_named, units_of
-from hil.spec.findings import findings_of
-from hil.spec.loads import Load
-from hil.spec.messages import explain
-from hil.spec.quantities import Finite, FormatVersion, Positive, Strict, mistake
+from hil.spec import Finite, FormatVersion, Load, Positive, Strict, explain, findings_of, mistake
 
 FileFormat = Literal["csv", "ur_rtde", "interleaved", "mat", "ros2bag"]
 Address: TypeAlias = int | str

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from hil.importers.import_map import ImportMap
-from hil.spec.schema import DIALECT
+from hil.spec import DIALECT
 
 
 def map_schema() -> dict[str, Any]:

@@ -11,10 +11,8 @@ from typing import Any, get_args
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.errors import DataError, RecordingError, SpecError
-from hil.core.neighbours import neighbour_of, no_file
-from hil.core.suggest import did_you_mean
+from hil.arms import Payload
+from hil.core import DataError, RecordingError, SpecError, did_you_mean, neighbour_of, no_file
 from hil.importers.bag import read_bag
 from hil.importers.convert import convert
 from hil.importers.import_map import FileFormat, ImportMap, Window, load_map

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.core.errors import DataError
-from hil.core.typing import FloatArray
+from hil.core import DataError, FloatArray
 from hil.importers.import_map import ImportMap
 from hil.importers.raw import Raw
 

@@ -15,14 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from hil.arms import require_same_arm
-from hil.arms.payload import Payload
-from hil.core.errors import DataError
-from hil.core.files import read_json
-from hil.core.typing import StructArray
-from hil.data.dataset import UPRIGHT, Dataset, SeriesKind
-from hil.data.dwells import SAMPLES_PER_DWELL
-from hil.data.stays import FOUND_FILE, FoundSteps
+from hil.arms import Payload, require_same_arm
+from hil.core import DataError, StructArray, read_json
+from hil.data import FOUND_FILE, SAMPLES_PER_DWELL, UPRIGHT, Dataset, FoundSteps, SeriesKind
 from hil.importers.completeness import base_record, dwell_is_over, rows_of
 from hil.importers.described import (
     dwell_rule_of,
@@ -38,12 +33,16 @@ from hil.importers.described import (
     vector,
 )
 from hil.importers.series import TARGET, Series, StepNote, assemble, cut
-from hil.planning.plan import DwellRule
-from hil.recording.parts import attempt_of
-from hil.recording.reader import RecordingInfo, read_info, read_topic
-from hil.recording.rundir import RunDirectory
-from hil.recording.writer import PARTIAL_SUFFIX
-from hil.robot.topic import TARGET_TOPIC
+from hil.planning import DwellRule
+from hil.recording import (
+    PARTIAL_SUFFIX,
+    RecordingInfo,
+    RunDirectory,
+    attempt_of,
+    read_info,
+    read_topic,
+)
+from hil.robot import TARGET_TOPIC
 
 WINDOW_PAYLOAD = "payload of window {}"
 """Metadata record of an imported file: the load of one window, where it has its own."""

@@ -8,9 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.errors import DataError
-from hil.core.suggest import did_you_mean
-from hil.core.typing import FloatArray
+from hil.core import DataError, FloatArray, did_you_mean
 from hil.importers.import_map import Address, ImportMap
 from hil.importers.raw import Raw
 

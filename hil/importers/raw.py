@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hil.core.errors import DataError
-from hil.core.typing import BoolArray, FloatArray, IntArray
+from hil.core import BoolArray, DataError, FloatArray, IntArray
 
 SHOWN = 10
 """Bad rows that are listed in a message; their number is always given."""

@@ -8,15 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.core.typing import IntArray, StructArray
-from hil.data.filters import sample_rate
+from hil.core import IntArray, StructArray
+from hil.data import sample_rate
 from hil.importers.import_map import ImportMap, Window
 from hil.importers.load import WINDOW_PAYLOAD
 from hil.importers.raw import Raw
 from hil.importers.series import TARGET
-from hil.recording.writer import McapWriter
-from hil.robot.topic import Topic, state_topic, torque_target_topic
-from hil.spec.loads import Load
+from hil.recording import McapWriter
+from hil.robot import Topic, state_topic, torque_target_topic
+from hil.spec import Load
 
 ROBOT_METADATA = "robot"
 PAYLOAD_METADATA = "payload"

@@ -10,13 +10,10 @@ from typing import Literal
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.errors import DataError
-from hil.core.typing import BoolArray, FloatArray, IntArray, StructArray
-from hil.data.approach_path import POINTS, Track, arrival
-from hil.data.dataset import Conditions, Dataset, SeriesKind
-from hil.data.filters import AT_REST, is_pause
-from hil.robot.state import Status
+from hil.arms import Payload
+from hil.core import BoolArray, DataError, FloatArray, IntArray, StructArray
+from hil.data import AT_REST, POINTS, Conditions, Dataset, SeriesKind, Track, arrival, is_pause
+from hil.robot import Status
 
 SHORTEST_PIECE = 20
 """Rows; shorter pieces of a cut trajectory are not worth keeping (and too short to filter)."""

@@ -11,9 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.core.errors import DataError
-from hil.core.suggest import did_you_mean
-from hil.core.typing import FloatArray, IntArray
+from hil.core import DataError, FloatArray, IntArray, did_you_mean
 from hil.importers.import_map import Address, ImportMap
 from hil.importers.raw import Raw
 

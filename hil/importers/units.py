@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hil.core.units import UNITS, Unit
+from hil.core import UNITS, Unit
 
 QUANTITY_DIMENSIONS = {
     "t": ("time",),

@@ -7,4 +7,6 @@
 `hil.registry("registry")` opens one.
 """
 
+import lazy_loader
 
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

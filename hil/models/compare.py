@@ -16,15 +16,15 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student
 
-from hil.core.errors import RegistryError
-from hil.core.typing import BoolArray, FloatArray
-from hil.data.dataset import Dataset
-from hil.data.splits import SAME_SHARE
-from hil.estimators.base import RobotEstimator
-from hil.evaluation.evaluation import filtered_effort
-from hil.evaluation.fitting import usable_part
-from hil.evaluation.validation import require_unseen, seen_share
-from hil.importers.load import load_source
+from hil.core import RegistryError
+from hil.core import (BoolArray, FloatArray)
+from hil.data import Dataset
+from hil.data import SAME_SHARE
+from hil.estimators import RobotEstimator
+from hil.evaluation import filtered_effort
+from hil.evaluation import usable_part
+from hil.evaluation import (require_unseen, seen_share)
+from hil.importers import load_source
 from hil.models.blocks import (BLOCK_S, blocks, by_place)
 
 SURE = 0.95
@@ -105,7 +105,7 @@ class Comparison:
 
     def _repr_html_(self) -> str:
         """Itself in a notebook."""
-        from hil.core.notebook import Tone, card, number
+        from hil.core import (Tone, card, number)
 
         badge: tuple[str, Tone] = ("not better for sure", "warn")
         if self.better or self.worse:

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student
 
-from hil.core.typing import FloatArray
-from hil.estimators.base import RobotEstimator
+from hil.core import FloatArray
+from hil.estimators import RobotEstimator
 from hil.evaluation import evaluate
 from hil.models.compare import (SURE, unseen_parts)
 

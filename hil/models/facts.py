@@ -7,12 +7,12 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import DataError, RegistryError
-from hil.core.files import read_json, sha256_of
-from hil.estimators.model_folder import MODEL_FILE
-from hil.evaluation.validation import EVALUATION_FILE
-from hil.recording.provenance import package_versions, source_revision
-from hil.recording.writer import PARTIAL_SUFFIX
+from hil.core import (DataError, RegistryError)
+from hil.core import (read_json, sha256_of)
+from hil.estimators import MODEL_FILE
+from hil.evaluation import EVALUATION_FILE
+from hil.recording import (package_versions, source_revision)
+from hil.recording import PARTIAL_SUFFIX
 
 FIT_FOLDER = "fit"
 

@@ -9,18 +9,18 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import HilError
-from hil.core.files import json_document
+from hil.core import HilError
+from hil.core import json_document
 from hil.models.drift.history import identity
 from hil.dynamics import load_model
-from hil.estimators.base import estimator as make_estimator
-from hil.evaluation.fitting import fit_dataset, usable_part
-from hil.evaluation.holdout import (Parts, hold_out)
-from hil.evaluation.model_judgement import judged_model
-from hil.evaluation.validation import EVALUATION_FILE
-from hil.importers.load import load_source, serial_of
-from hil.spec.experiment import Accept
-from hil.spec.load import load_spec
+from hil.estimators import estimator as make_estimator
+from hil.evaluation import (fit_dataset, usable_part)
+from hil.evaluation import (Parts, hold_out)
+from hil.evaluation import judged_model
+from hil.evaluation import EVALUATION_FILE
+from hil.importers import (load_source, serial_of)
+from hil.spec import Accept
+from hil.spec import load_spec
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,10 +8,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from hil.core.dask_cluster import cluster
-from hil.core.errors import DataError, FitError
-from hil.core.executor import processes
-from hil.core.spreading import TRIES, spread
+from hil.core import cluster
+from hil.core import (DataError, FitError)
+from hil.core import processes
+from hil.core import (TRIES, spread)
 from hil.models.drift.history import identity
 from hil.models.fleet_fit_task import (FitResult, How, Sent, fit_at)
 

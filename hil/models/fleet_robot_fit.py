@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import DataError
-from hil.core.files import read_json
-from hil.estimators.model_file import write_whole
-from hil.evaluation.run_verdict import (VerdictWord, verdict_word)
+from hil.core import DataError
+from hil.core import read_json
+from hil.estimators import write_whole
+from hil.evaluation import (VerdictWord, verdict_word)
 from hil.models.fleet_fit_task import FitResult
 from hil.models.registry import Registry
 

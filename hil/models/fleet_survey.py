@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.errors import DataError, HilError
-from hil.core.typing import FloatArray
+from hil.core import (DataError, HilError)
+from hil.core import FloatArray
 from hil.models.drift.history import probes_of
-from hil.estimators.model_folder import models_below
+from hil.estimators import models_below
 from hil.models.fleet_fitting import computed
 from hil.models.fleet_folder import (MODELS, FleetFolder, completed)
 from hil.models.fleet_outliers import (FAMILY_WISE, Standing, standing)

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.errors import FitError, HilError
-from hil.core.files import read_json
-from hil.core.typing import FloatArray
+from hil.core import (FitError, HilError)
+from hil.core import read_json
+from hil.core import FloatArray
 from hil.models.drift.history import Probe
 from hil.models.fleet_robot_fit import robot_of
 
@@ -87,9 +87,9 @@ def surveyed(run: Path, model: Path | None) -> Surveyed:
 
 
 def _friction(run: Path, model: Path) -> tuple[tuple[str, ...], FloatArray, FloatArray]:
-    from hil.estimators.model_file import load_model_file
-    from hil.evaluation.fitting import usable_part
-    from hil.importers.load import load_source
+    from hil.estimators import load_model_file
+    from hil.evaluation import usable_part
+    from hil.importers import load_source
 
     fitted = load_model_file(model)
     data = usable_part(load_source(run), fitted)
@@ -110,7 +110,7 @@ def _friction(run: Path, model: Path) -> tuple[tuple[str, ...], FloatArray, Floa
 
 def _age(run: Path) -> float:
     """Years from the station's `in_service` to the run; NaN where either is not told."""
-    from hil.spec.load import load_station
+    from hil.spec import load_station
 
     try:
         start = read_json(run / "start.json")

@@ -18,11 +18,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from hil.core.errors import RegistryError
-from hil.core.files import fsync_directory
-from hil.core.text import json_text, shell_word
-from hil.estimators.model_file import json_bytes, write_whole
-from hil.recording.provenance import operator, utc_now
+from hil.core import RegistryError
+from hil.core import fsync_directory
+from hil.core import (json_text, shell_word)
+from hil.estimators import (json_bytes, write_whole)
+from hil.recording import (operator, utc_now)
 from hil.models.version import (folder_of, numbers_in, read_version)
 
 LOG_FILE = "log.jsonl"

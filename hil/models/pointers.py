@@ -14,7 +14,7 @@ from collections.abc import Iterable
 from datetime import date
 from pathlib import Path
 
-from hil.core.errors import RegistryError
+from hil.core import RegistryError
 
 FILE = ".registries"
 

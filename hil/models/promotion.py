@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import Rejected
+from hil.core import Rejected
 from hil.evaluation import evaluate
-from hil.evaluation.verdict import Criterion, Verdict, judge
+from hil.evaluation import (Criterion, Verdict, judge)
 from hil.models.compare import (Comparison, compare_sources, unseen_parts)
 from hil.models.days import (Days, over_days)
 from hil.models.registry import Registry

@@ -13,11 +13,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import RegistryError, SpecError
-from hil.core.suggest import closest
-from hil.estimators.base import RobotEstimator
-from hil.estimators.model_file import load_model_file
-from hil.recording.provenance import operator, utc_now
+from hil.core import (RegistryError, SpecError)
+from hil.core import closest
+from hil.estimators import RobotEstimator
+from hil.estimators import load_model_file
+from hil.recording import (operator, utc_now)
 from hil.models.facts import facts_of
 from hil.models.registry_lock import writing
 from hil.models.log import (HEAD_FILE, LOG_FILE, Aliases, Entry, Event, Repair, append, damaged, inspect, last_number, read_log, registered_in, repair, settle, write_view)
@@ -45,7 +45,7 @@ class Registry:
 
     def _repr_html_(self) -> str:
         """Itself in a notebook: a row per name."""
-        from hil.core.notebook import card
+        from hil.core import card
 
         rows = []
         for name in self.names():

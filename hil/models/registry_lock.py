@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from hil.core.errors import RegistryError
+from hil.core import RegistryError
 
 LOCK_FILE = ".lock"
 PATIENCE_S = 30.0

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import RegistryError
-from hil.core.files import fsync_directory
-from hil.estimators.model_file import json_bytes
+from hil.core import RegistryError
+from hil.core import fsync_directory
+from hil.estimators import json_bytes
 
 VERSION_FILE = "version.json"
 FORMAT = 1
@@ -57,7 +57,7 @@ class ModelVersion:
 
     def _repr_html_(self) -> str:
         """Itself in a notebook."""
-        from hil.core.notebook import card
+        from hil.core import card
 
         facts = {
             "estimator": self.facts.get("estimator"),

@@ -14,14 +14,25 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
-from hil.data.dataset import Dataset, SeriesKind, rows_of
-from hil.data.filters import FilterSettings
-from hil.data.parts import BY_SAMPLE, told_by_sample
+from hil.data import BY_SAMPLE, Dataset, FilterSettings, SeriesKind, rows_of, told_by_sample
 from hil.dynamics import RobotModel
-from hil.estimators.base import HONEST, prepared
-from hil.estimators.checks import Needs, require_clean, require_motion, require_robot, torque_scale
-from hil.estimators.parameters import MOST_SEED, choice, mapping, number, settings, share, whole
-from hil.estimators.plausible import require_plausible
+from hil.estimators import (
+    HONEST,
+    MOST_SEED,
+    Needs,
+    choice,
+    mapping,
+    number,
+    prepared,
+    require_clean,
+    require_motion,
+    require_plausible,
+    require_robot,
+    settings,
+    share,
+    torque_scale,
+    whole,
+)
 from hil.networks.lagrangian import choices
 from hil.networks.lagrangian.direction import DIRECTION
 from hil.networks.lagrangian.fitted import LagrangianModel

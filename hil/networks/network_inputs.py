@@ -16,9 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.errors import DataError, FitError, SpecError
-from hil.core.typing import FloatArray
-from hil.data.dataset import Dataset
+from hil.core import DataError, FitError, FloatArray, SpecError
+from hil.data import Dataset
 
 APPROACH = "approach"
 OWN = "own:"

@@ -7,10 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.errors import DataError, FitError
-from hil.core.typing import FloatArray
-from hil.data.dataset import Dataset
-from hil.data.splits import split
+from hil.core import DataError, FitError, FloatArray
+from hil.data import Dataset, split
 from hil.networks.lm.network import Mlp
 from hil.networks.lm.scaling import Scaling
 from hil.networks.lm.trained import History, Trained

@@ -17,14 +17,25 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
-from hil.data.dataset import Dataset
-from hil.data.filters import FilterSettings
-from hil.data.parts import told_by_sample
+from hil.data import Dataset, FilterSettings, told_by_sample
 from hil.dynamics import RobotModel
-from hil.estimators.base import RobotEstimator, needs_of, prepared
-from hil.estimators.checks import Needs, require_clean, require_motion, require_robot, torque_scale
-from hil.estimators.parameters import MOST_SEED, mapping, number, settings, share, whole
-from hil.estimators.plausible import require_plausible
+from hil.estimators import (
+    MOST_SEED,
+    Needs,
+    RobotEstimator,
+    mapping,
+    needs_of,
+    number,
+    prepared,
+    require_clean,
+    require_motion,
+    require_plausible,
+    require_robot,
+    settings,
+    share,
+    torque_scale,
+    whole,
+)
 from hil.networks.residual.fit import Course, learn, require_one_rate
 from hil.networks.residual.fitted import CorrectedModel
 from hil.networks.residual.judged import Judged

@@ -17,16 +17,20 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.errors import FitError, SpecError
-from hil.core.typing import FloatArray, IntArray
-from hil.data.dataset import Dataset
-from hil.data.prediction import Prediction, Stream
+from hil.arms import Payload
+from hil.core import FitError, FloatArray, IntArray, SpecError
+from hil.data import Dataset, Prediction, Stream
 from hil.dynamics import RobotModel
-from hil.estimators.dwell_rows import one_row_each
-from hil.estimators.parameters import choice, flag, number, whole
-from hil.estimators.static_model import Form, StaticModel
-from hil.estimators.stream import MemorylessStream
+from hil.estimators import (
+    Form,
+    MemorylessStream,
+    StaticModel,
+    choice,
+    flag,
+    number,
+    one_row_each,
+    whole,
+)
 from hil.networks.lm.arrays import Precision
 from hil.networks.lm.network import Mlp
 from hil.networks.lm.settings import Settings

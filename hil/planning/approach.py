@@ -7,12 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from hil.arms import load_arm
-from hil.core.errors import PlanError
-from hil.core.typing import FloatArray
-from hil.excitation.motion import Line
+from hil.core import FloatArray, PlanError
+from hil.excitation import Line
 from hil.planning.place import checked_start, roadmap_of, workspace_of
-from hil.spec.experiment import ExperimentSpec
-from hil.spec.station import StationRobot
+from hil.spec import ExperimentSpec, StationRobot
 
 
 class Approach:

@@ -9,13 +9,18 @@ from pathlib import Path
 import numpy as np
 
 from hil.arms import ArmDescription
-from hil.core.errors import HilError, PlanError, SpecError
-from hil.core.typing import FloatArray
-from hil.excitation.arrange import Arrangement
-from hil.excitation.roadmap import Roadmap
-from hil.excitation.setting import Watch, unwatched
-from hil.excitation.visit import Action, Program, Visit, pose_visit
-from hil.excitation.workspace import Workspace
+from hil.core import FloatArray, HilError, PlanError, SpecError
+from hil.excitation import (
+    Action,
+    Arrangement,
+    Program,
+    Roadmap,
+    Visit,
+    Watch,
+    Workspace,
+    pose_visit,
+    unwatched,
+)
 from hil.planning.commissioning import Commissioning
 from hil.planning.exciting import program_of, setting_of
 from hil.planning.interlocks import interlock_margins
@@ -25,8 +30,7 @@ from hil.planning.place import checked_start, plannable_arm, poses_of_file, road
 from hil.planning.plan import DwellRule, LoadStep, Plan, Step
 from hil.planning.quality import condition_number
 from hil.planning.weighing import weigh_dwell, weigh_visits
-from hil.spec.experiment import Dwell, ExperimentSpec
-from hil.spec.station import StationRobot
+from hil.spec import Dwell, ExperimentSpec, StationRobot
 
 REFERENCE_DELTA_DEG = 3.0
 

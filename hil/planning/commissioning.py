@@ -13,8 +13,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from hil.core.errors import PlanError, SpecError
-from hil.excitation.motion import FourierSeries, Line, Motion
+from hil.core import PlanError, SpecError
+from hil.excitation import FourierSeries, Line, Motion
 from hil.planning.plan import Plan, Step
 
 MEASURED = ("dwell", "trajectory")

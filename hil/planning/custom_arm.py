@@ -12,14 +12,11 @@ import numpy as np
 import yaml
 
 from hil.arms import ArmDescription, arm_from_dict
-from hil.core.errors import SpecError
-from hil.core.typing import FloatArray
-from hil.dynamics.collision import CollisionModel
-from hil.dynamics.dh_from_urdf import Described, described
-from hil.dynamics.environment import Environment
+from hil.core import FloatArray, SpecError
+from hil.dynamics import CollisionModel, Described, Environment, described
 from hil.planning.custom_arm_limits import require_ranges, without_odd_speeds
 from hil.planning.custom_arm_text import arm_text, silent
-from hil.spec.new import Draft, render
+from hil.spec import Draft, render
 
 MOCKED_JOINTS = 6
 """The mock has drives for so many."""

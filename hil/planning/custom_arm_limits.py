@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.core.errors import SpecError
-from hil.dynamics.dh_from_urdf import Described
+from hil.core import SpecError
+from hil.dynamics import Described
 
 MOST_RAD = 4 * np.pi
 """Two turns to either side; arms with more turn endlessly."""

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.core.source import shown
-from hil.core.typing import BoolArray, FloatArray
-from hil.dynamics.dh_from_urdf import Described
-from hil.spec.new import quoted
+from hil.core import BoolArray, FloatArray, shown
+from hil.dynamics import Described
+from hil.spec import quoted
 
 ACCELERATION_PER_SPEED = 3.0
 """Guessed limit [1/s]: full speed in a third of a second."""

@@ -15,10 +15,8 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError
 from pydantic_core import ErrorDetails
 
-from hil.core.errors import DataError
-from hil.core.files import require_known_version
-from hil.core.source import shown
-from hil.excitation.profile import LONGEST_S
+from hil.core import DataError, require_known_version, shown
+from hil.excitation import LONGEST_S
 from hil.planning.plan import PLAN_FORMAT, StepKind
 
 MOST_STEPS = 5_000_000

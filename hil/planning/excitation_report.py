@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from hil.excitation.appraisal import Appraisal, margins_of
-from hil.excitation.information import Information
+from hil.excitation import Appraisal, Information, margins_of
 from hil.planning.experiment import Experiment
-from hil.spec.experiment import Fourier
+from hil.spec import Fourier
 
 
 @dataclass(frozen=True, slots=True, eq=False)

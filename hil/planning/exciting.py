@@ -10,14 +10,19 @@ import numpy as np
 
 from hil.arms import ArmDescription
 from hil.core import plugins
-from hil.excitation.cache import ExcitationCache, user_cache
-from hil.excitation.roadmap import Roadmap
-from hil.excitation.setting import Computes, Setting, Watch, unwatched
-from hil.excitation.visit import Excitation, Program
-from hil.excitation.workspace import Workspace
-from hil.spec.experiment import ExperimentSpec
-from hil.spec.interlocks import WorkspaceInterlock
-from hil.spec.station import StationRobot
+from hil.excitation import (
+    Computes,
+    Excitation,
+    ExcitationCache,
+    Program,
+    Roadmap,
+    Setting,
+    Watch,
+    Workspace,
+    unwatched,
+    user_cache,
+)
+from hil.spec import ExperimentSpec, StationRobot, WorkspaceInterlock
 
 
 def program_of(

@@ -7,13 +7,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hil.core.errors import SpecError
-from hil.core.yaml_source import read_source
+from hil.core import SpecError, read_source
 from hil.planning.station_lookup import BUILT_IN, NOT_MOCKED, find_station, mock_bench, stations_in
-from hil.spec.experiment import ExperimentSpec
-from hil.spec.load import load_spec, resolve_robot
-from hil.spec.overrides import lay_over, resolved_text
-from hil.spec.station import Station, StationRobot
+from hil.spec import (
+    ExperimentSpec,
+    Station,
+    StationRobot,
+    lay_over,
+    load_spec,
+    resolve_robot,
+    resolved_text,
+)
 
 if TYPE_CHECKING:
     from hil.planning.commissioning import Commissioning
@@ -66,7 +70,7 @@ class Experiment:
 
     def _repr_html_(self) -> str:
         """Itself in a notebook."""
-        from hil.core.notebook import card
+        from hil.core import card
 
         facts = {
             "robot": self.spec.robot,

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.core.typing import FloatArray
-from hil.excitation.motion import Motion
+from hil.core import FloatArray
+from hil.excitation import Motion
 
 
 @dataclass(frozen=True, slots=True, eq=False)

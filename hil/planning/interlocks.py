@@ -7,14 +7,13 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from hil.arms import ArmDescription
-from hil.core.errors import PlanError
+from hil.core import PlanError
 from hil.planning.plan import Step
 from hil.planning.surroundings import BodySize
-from hil.spec.interlocks import ClearanceInterlock, Interlock, WorkspaceInterlock
+from hil.spec import ClearanceInterlock, Interlock, WorkspaceInterlock
 
 if TYPE_CHECKING:
-    from hil.dynamics.environment import Plane
-    from hil.dynamics.flange import FlangeSpace
+    from hil.dynamics import FlangeSpace, Plane
 
 
 def flange_space(
@@ -29,7 +28,7 @@ def flange_space(
         space: Box and planes.
         sizes: Of each load's body, None where it is not known.
     """
-    from hil.dynamics.flange import FlangeSpace
+    from hil.dynamics import FlangeSpace
 
     return FlangeSpace(arm, _faces(space), _tip_m(sizes))
 
@@ -46,7 +45,7 @@ def declared_space(
         arm: The arm.
         sizes: Of each load's body, None where it is not known.
     """
-    from hil.dynamics.flange import FlangeSpace
+    from hil.dynamics import FlangeSpace
 
     faces = [
         replace(face, name=f"{face.name} (interlocks.{number})")
@@ -102,7 +101,7 @@ def interlock_margins(
 
 def _least(space: FlangeSpace, steps: Sequence[Step], rate_hz: float) -> tuple[float, str]:
     """The smallest distance of steps that move to a face, and what is wrong with it."""
-    from hil.dynamics.path_search import least_along
+    from hil.dynamics import least_along
 
     paths = [step.motion.sample(rate_hz).q for step in steps if step.motion is not None]
     found = [least_along(q, space.distances, space.reach) for q in paths]
@@ -129,7 +128,7 @@ def _tip_m(sizes: Sequence[BodySize | None]) -> float:
 
 
 def _faces(space: WorkspaceInterlock) -> list[Plane]:
-    from hil.dynamics.environment import Plane
+    from hil.dynamics import Plane
 
     faces = [Plane(wall.point_m, wall.normal, wall.name) for wall in space.planes]
     for key, corner, inwards in (("min_m", space.min_m, 1.0), ("max_m", space.max_m, -1.0)):

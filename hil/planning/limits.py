@@ -7,13 +7,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from hil.arms import ArmDescription
-from hil.core.source import Path
-from hil.core.typing import FloatArray
-from hil.excitation.workspace import Space, outside
+from hil.core import FloatArray, Path
+from hil.excitation import Space, outside
 from hil.planning.interlocks import declared_space
-from hil.spec.experiment import Dwell, ExperimentSpec, Fourier
-from hil.spec.interlocks import Interlock, WorkspaceInterlock
-from hil.spec.judgeable import Excess
+from hil.spec import Dwell, Excess, ExperimentSpec, Fourier, Interlock, WorkspaceInterlock
 
 TOLERANCE = 1e-9
 

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from hil.arms import ArmDescription
-from hil.core.errors import PlanError
-from hil.excitation.workspace import Workspace
+from hil.core import PlanError
+from hil.excitation import Workspace
 from hil.planning.extremes import Extremes, extremes_of
 from hil.planning.plan import LoadStep, Step
 from hil.planning.quality import effort_margin

@@ -7,19 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from hil.arms import ArmDescription, arm_names, is_described, load_arm
-from hil.core.errors import PlanError
-from hil.core.typing import FloatArray
-from hil.excitation.motion import STANDSTILL_RAD
-from hil.excitation.poses import roomy_poses
-from hil.excitation.roadmap import Roadmap
-from hil.excitation.waypoint_file import read_waypoints
-from hil.excitation.workspace import Workspace
+from hil.core import FloatArray, PlanError
+from hil.excitation import STANDSTILL_RAD, Roadmap, Workspace, read_waypoints, roomy_poses
 from hil.planning.interlocks import declared_space
 from hil.planning.limits import draw_range
 from hil.planning.quality import condition_score
 from hil.planning.surroundings import collision_model
-from hil.spec.experiment import Dwell, ExperimentSpec, Fourier
-from hil.spec.station import StationRobot
+from hil.spec import Dwell, ExperimentSpec, Fourier, StationRobot
 
 ROADMAP_POSES = 48
 CONFINED_ROADMAP_POSES = 96

@@ -15,10 +15,9 @@ from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any, Literal
 
-from hil.arms.payload import Payload
-from hil.core.notebook import CARDS, card
-from hil.core.typing import FloatArray
-from hil.excitation.motion import Motion, motion_from_dict
+from hil.arms import Payload
+from hil.core import CARDS, FloatArray, card
+from hil.excitation import Motion, motion_from_dict
 from hil.planning.extremes import Extremes, extremes_of
 
 PLAN_FORMAT = 1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hil.core.files import read_json
+from hil.core import read_json
 from hil.planning.document import require_plan
 from hil.planning.plan import Plan
 

@@ -6,10 +6,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from hil.arms import ArmDescription
-from hil.arms.payload import Payload
-from hil.core.typing import FloatArray
-from hil.excitation.motion import Motion
+from hil.arms import ArmDescription, Payload
+from hil.core import FloatArray
+from hil.excitation import Motion
 
 MOST_ROWS = 1500
 """Samples a regressor is computed from: more change the condition number in the third digit."""

@@ -8,16 +8,13 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from hil.core import plugins
-from hil.core.time_limit import bounded
-from hil.core.typing import FloatArray
-from hil.excitation.setting import Watch, unwatched
+from hil.core import FloatArray, bounded, plugins
+from hil.excitation import Watch, unwatched
 from hil.planning.build import build_plan
 from hil.planning.experiment import Experiment
 from hil.planning.plan import Plan
-from hil.robot import Robot, address_of
-from hil.robot.lease import Lease, leased
-from hil.spec.station import StationRobot
+from hil.robot import Lease, Robot, address_of, leased
+from hil.spec import StationRobot
 
 AT_SET_POINT_RAD = 0.01
 
@@ -44,7 +41,7 @@ def open_robot(name: str, station_robot: StationRobot) -> Robot:
         RobotError: The process for it does not come up.
     """
     if station_robot.own_process:
-        from hil.robot.process import RobotProcess
+        from hil.robot import RobotProcess
 
         return RobotProcess(
             station_robot.driver,

@@ -8,11 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from hil import arms
-from hil.core.errors import SpecError
-from hil.core.yaml_source import read_source
-from hil.spec.checks import is_path
-from hil.spec.load import load_station
-from hil.spec.station import Station, StationRobot
+from hil.core import SpecError, read_source
+from hil.spec import Station, StationRobot, is_path, load_station
 
 BUILT_IN = "built-in mock bench"
 

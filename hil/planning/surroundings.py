@@ -7,14 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hil.arms import ArmDescription, Capsule
-from hil.arms.payload import Payload
-from hil.core.typing import FloatArray
-from hil.spec.station import Surroundings
+from hil.arms import ArmDescription, Capsule, Payload
+from hil.core import FloatArray
+from hil.spec import Surroundings
 
 if TYPE_CHECKING:
-    from hil.dynamics.collision import CollisionModel
-    from hil.dynamics.environment import Environment
+    from hil.dynamics import CollisionModel, Environment
 
 BodySize = tuple[float, float]
 """Length and radius along the flange axis [m]."""
@@ -29,7 +27,7 @@ def collision_model(
 
     One body for all loads lets every load see the same program.
     """
-    from hil.dynamics.collision import CollisionModel
+    from hil.dynamics import CollisionModel
 
     capsules = [body for load, size in loads if (body := _capsule(load, size, arm.n_joints))]
     around = _environment(surroundings)
@@ -60,7 +58,7 @@ def _off_axis(point: FloatArray, end: FloatArray) -> float:
 
 
 def _capsule(load: Payload, size: BodySize | None, flange_link: int) -> Capsule | None:
-    from hil.dynamics.environment import payload_capsule
+    from hil.dynamics import payload_capsule
 
     if size is None:
         return payload_capsule(load, flange_link)
@@ -69,7 +67,7 @@ def _capsule(load: Payload, size: BodySize | None, flange_link: int) -> Capsule 
 
 
 def _environment(surroundings: Surroundings) -> Environment:
-    from hil.dynamics.environment import Box, Environment, Plane
+    from hil.dynamics import Box, Environment, Plane
 
     return Environment(
         table_z=surroundings.table_z_m,

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hil.arms import ArmDescription, Capsule
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.planning.plan import Plan
 
 BLOCK = 16_384
@@ -155,7 +155,7 @@ def elbow_bodies(arm: ArmDescription) -> list[Capsule]:
 
 def _boxes(plan: Plan, arm: ArmDescription, *groups: list[Capsule]) -> list[Box]:
     """Return the box of each group of spheres that move with the links."""
-    from hil.dynamics.capsules import CapsuleChain
+    from hil.dynamics import CapsuleChain
 
     bodies = [body for group in groups for body in group]
     chain, radius = CapsuleChain(arm, bodies), np.array([body.radius for body in bodies])

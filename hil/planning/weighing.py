@@ -10,17 +10,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hil.arms import ArmDescription
-from hil.arms.payload import Payload
-from hil.core.errors import PlanError
-from hil.core.typing import FloatArray
-from hil.excitation.motion import Motion
-from hil.excitation.poses import draw_poses
-from hil.excitation.roadmap import Roadmap
-from hil.excitation.visit import Visit, pose_visit
+from hil.arms import ArmDescription, Payload
+from hil.core import FloatArray, PlanError
+from hil.excitation import Motion, Roadmap, Visit, draw_poses, pose_visit
 from hil.planning.plan import DwellRule, Plan
 from hil.robot import Capabilities
-from hil.spec.experiment import ExperimentSpec
+from hil.spec import ExperimentSpec
 
 APPROACH_DEG = 3.0
 
@@ -123,8 +118,7 @@ class _Candidates:
         loads: Sequence[Payload],
         roadmap: Roadmap,
     ) -> None:
-        from hil.dynamics import RobotModel
-        from hil.dynamics.weighing import static_columns, static_parameters
+        from hil.dynamics import RobotModel, static_columns, static_parameters
 
         model = RobotModel.from_arm(arm.name, gravity=gravity)
         self._roadmap = roadmap
@@ -154,7 +148,7 @@ class _Candidates:
         return None
 
     def _worth(self, i: int) -> float:
-        from hil.dynamics.weighing import Balance
+        from hil.dynamics import Balance
 
         rows = [*self._chosen, i]
         columns, torque = self._columns[rows], self._torque[rows]

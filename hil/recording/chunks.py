@@ -13,9 +13,9 @@ from lz4.frame import LZ4FrameDecompressor
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Schema
 
-from hil.core.typing import BoolArray, IntArray, StructArray
+from hil.core import BoolArray, IntArray, StructArray
 from hil.recording.scan import RECORD_HEADER, ChunkSpan, Torn, parse
-from hil.robot.cdr import CDR_HEADER
+from hil.robot import CDR_HEADER
 
 _LARGEST_CHUNK_BYTES = 1 << 28
 

@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 from mcap.records import Channel
 
-from hil.core.errors import DataError
-from hil.core.typing import BoolArray, IntArray, StructArray
+from hil.core import BoolArray, DataError, IntArray, StructArray
 from hil.recording.chunks import rows_at
 from hil.recording.recording import Recording
 from hil.recording.scan import Torn

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hil.core.typing import FloatArray, StructArray
+from hil.core import FloatArray, StructArray
 
 _GAP_PERIODS = 1.5
 _DUPLICATE_PERIODS = 0.1

@@ -17,8 +17,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from hil.core.errors import DataError, RecordingError
-from hil.core.files import fsync_directory, json_line
+from hil.core import DataError, RecordingError, fsync_directory, json_line
 
 _CLOSE = None
 _BEGINNING = b'{"t": '

@@ -16,8 +16,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import IO
 
-from hil.core.errors import DataError, RecordingError
-from hil.core.files import fsync_directory, sha256_of
+from hil.core import DataError, RecordingError, fsync_directory, sha256_of
 from hil.recording.empty_part import never_got_a_message
 from hil.recording.lost import hint_of_lost
 from hil.recording.rebuild import Salvage, rebuild, survey

@@ -12,9 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.typing import StructArray
-from hil.robot.cdr import CDR_HEADER, cdr_string
-from hil.robot.state import n_joints_of
+from hil.core import StructArray
+from hil.robot import CDR_HEADER, cdr_string, n_joints_of
 
 JOINT_STATE_TOPIC = "/joint_states"
 JOINT_STATE_SCHEMA = "sensor_msgs/msg/JointState"

@@ -11,8 +11,8 @@ import struct
 from collections.abc import Mapping
 from typing import Any
 
-from hil.core.files import json_line
-from hil.robot.cdr import CDR_HEADER, cdr_string
+from hil.core import json_line
+from hil.robot import CDR_HEADER, cdr_string
 
 EVENT_TOPIC = "/events"
 EVENT_SCHEMA = "rcl_interfaces/msg/Log"

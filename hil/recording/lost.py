@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hil.core.errors import DataError
+from hil.core import DataError
 from hil.recording.parts import recordings_in
 
 _MOST_NAMED = 3

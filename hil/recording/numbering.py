@@ -10,9 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from hil.core.files import fsync_directory
-from hil.core.held_file import HeldFile, hold, holder_of
-from hil.core.holder import this_process
+from hil.core import HeldFile, fsync_directory, hold, holder_of, this_process
 
 _CLAIM, _DRAFT = ".claim-", ".draft-"
 _NUMBERED = re.compile(r"(\d{4,})-.+", re.DOTALL)

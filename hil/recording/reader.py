@@ -14,12 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.errors import DataError
-from hil.core.typing import StructArray
+from hil.core import DataError, StructArray
 from hil.recording.columns import read_rows
 from hil.recording.recording import Recording
 from hil.recording.writer import Attachment
-from hil.robot.topic import STATE_TOPIC
+from hil.robot import STATE_TOPIC
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,8 +21,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from hil.core.errors import RecordingError
-from hil.core.typing import StructArray
+from hil.core import RecordingError, StructArray
 from hil.recording.continuity import Counts
 from hil.recording.disk import DiskThread, NextPart
 from hil.recording.writer import McapWriter, require_rows_of

@@ -10,16 +10,12 @@ import numpy as np
 import zstandard
 from mcap.records import Channel
 
-from hil.core.errors import DataError
-from hil.core.files import require_known_version
-from hil.core.typing import BoolArray, IntArray
+from hil.core import BoolArray, DataError, IntArray, require_known_version
 from hil.recording.chunks import indexed_offsets, read_chunk, walk
 from hil.recording.lost import hint_of_lost
 from hil.recording.scan import RECORD_HEADER, Torn, scan
 from hil.recording.writer import FILE_FORMAT_VERSION, FILE_METADATA
-from hil.robot.cdr import dtype_of_schema
-from hil.robot.state import STATE_SCHEMA_VERSION
-from hil.robot.topic import STATE_TOPIC
+from hil.robot import STATE_SCHEMA_VERSION, STATE_TOPIC, dtype_of_schema
 
 _KNOWN_VERSIONS = {STATE_TOPIC: STATE_SCHEMA_VERSION}
 _LOOSE = -1

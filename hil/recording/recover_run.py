@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import DataError, HilError, RecordingError
-from hil.core.live_lock import hold_run, run_holder
+from hil.core import DataError, HilError, RecordingError, hold_run, run_holder
 from hil.recording.file_recovery import recover_file
 from hil.recording.parts import recordings_in
 from hil.recording.recovery import Recovery

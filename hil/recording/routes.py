@@ -12,7 +12,7 @@ from typing import NamedTuple
 from mcap.records import Channel, Schema
 from mcap.writer import Writer
 
-from hil.core.errors import DataError
+from hil.core import DataError
 from hil.recording.scan import Layout
 from hil.recording.tally import Definition, Kept, Tally
 

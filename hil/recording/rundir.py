@@ -27,8 +27,15 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from hil.core.errors import DataError, RecordingError
-from hil.core.files import json_document, read_json, require_known_version, sha256_of, write_once
+from hil.core import (
+    DataError,
+    RecordingError,
+    json_document,
+    read_json,
+    require_known_version,
+    sha256_of,
+    write_once,
+)
 from hil.recording.events import EventLog, foreign_lines, read_events
 from hil.recording.numbering import claimed, name_for_path, number_of
 from hil.recording.parts import attempt_of, name_of_attempt, part_name, recordings_in

@@ -8,13 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.core.errors import DataError
-from hil.core.typing import FloatArray
+from hil.core import DataError, FloatArray
 from hil.recording.chunks import rows_at
 from hil.recording.parts import attempt_of
 from hil.recording.recording import Recording
 from hil.recording.scan import Torn
-from hil.robot.topic import STATE_TOPIC
+from hil.robot import STATE_TOPIC
 
 
 def recorded_s(recordings: Iterable[Path]) -> float:

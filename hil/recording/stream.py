@@ -34,8 +34,7 @@ from mcap.records import (
     SummaryOffset,
 )
 
-from hil.core.text import utf8_text
-from hil.core.typing import IntArray, StructArray
+from hil.core import IntArray, StructArray, utf8_text
 
 MAGIC = b"\x89MCAP0\r\n"
 CHUNK_BYTES = 1 << 20

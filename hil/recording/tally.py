@@ -20,7 +20,7 @@ from mcap.reader import McapReader, make_reader
 from mcap.records import Channel, Chunk, Message, Schema
 from mcap.stream_reader import breakup_chunk
 
-from hil.core.errors import RecordingError
+from hil.core import RecordingError
 from hil.recording.scan import RECORD_HEADER
 
 if TYPE_CHECKING:

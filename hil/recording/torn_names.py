@@ -15,8 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
-from hil.core.errors import DataError, RecordingError
-from hil.core.files import fsync_directory, sha256_of
+from hil.core import DataError, RecordingError, fsync_directory, sha256_of
 from hil.recording.reader import read_info
 from hil.recording.tally import RECOVERED_METADATA
 from hil.recording.writer import PARTIAL_SUFFIX

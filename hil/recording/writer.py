@@ -18,9 +18,7 @@ from typing import IO, Any, NamedTuple
 
 import numpy as np
 
-from hil.core.errors import RecordingError
-from hil.core.files import fsync_directory
-from hil.core.typing import IntArray, StructArray
+from hil.core import IntArray, RecordingError, StructArray, fsync_directory
 from hil.recording.joint_state import (
     JOINT_STATE_SCHEMA,
     JOINT_STATE_TEXT,
@@ -29,8 +27,7 @@ from hil.recording.joint_state import (
 )
 from hil.recording.log_message import EVENT_SCHEMA, EVENT_TEXT, EVENT_TOPIC, encode_event
 from hil.recording.stream import McapStream
-from hil.robot.cdr import CDR_HEADER
-from hil.robot.topic import STATE_TOPIC, Topic
+from hil.robot import CDR_HEADER, STATE_TOPIC, Topic
 
 FILE_FORMAT_VERSION = 1
 """Version of what is around the topics: metadata, attachments, clocks. See decision 0002."""

@@ -3,7 +3,6 @@
 plotly and Jinja2 are imported when a page is rendered, not before.
 """
 
-from hil.report.report import render_fit_report, render_report
-from hil.report.text import summary_lines
+import lazy_loader
 
-__all__ = ["render_fit_report", "render_report", "summary_lines"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.report.blocks import Column, Table, cells
 from hil.report.fit_facts import FitFacts
 from hil.report.predictions import Dwells

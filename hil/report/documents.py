@@ -6,9 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from hil.core.errors import DataError, SpecError
-from hil.core.files import read_json
-from hil.core.yaml_source import read_source
+from hil.core import DataError, SpecError, read_json, read_source
 
 Document: TypeAlias = Mapping[str, Any]
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.typing import FloatArray
-from hil.models.drift.bands import Banded
+from hil.core import FloatArray
+from hil.models import Banded
 from hil.report import colours
 from hil.report.blocks import Panel
 from hil.report.traces import Trace, axes, line, markers

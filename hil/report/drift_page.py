@@ -9,12 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.core.errors import DataError
-from hil.models.drift.bands import Banded, banded
-from hil.models.drift.chart import REFERENCE
-from hil.models.drift.features import JOINT_FEATURES
-from hil.models.log import CHAMPION_EVENTS, Entry
-from hil.models.registry import Registry
+from hil.core import DataError
+from hil.models import CHAMPION_EVENTS, JOINT_FEATURES, REFERENCE, Banded, Entry, Registry, banded
 from hil.report import colours
 from hil.report import drift_figures as figures
 from hil.report.blocks import (

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.text import json_text
+from hil.core import json_text
 
 
 def figure_json(figure: dict[str, Any]) -> str:

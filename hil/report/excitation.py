@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hil.core.typing import FloatArray, IntArray
-from hil.data.dataset import Dataset
+from hil.core import FloatArray, IntArray
+from hil.data import Dataset
 from hil.report import figures
 from hil.report.blocks import Block, Facts, Panel, Plots, Section, items
 from hil.report.documents import as_float, as_index, as_object

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hil.core.typing import FloatArray
-from hil.excitation.appraisal import Appraisal, Limits, Trajectory
+from hil.core import FloatArray
+from hil.excitation import Appraisal, Limits, Trajectory
 from hil.report import colours
 from hil.report.blocks import Panel
 from hil.report.decimate import decimated

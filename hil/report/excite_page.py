@@ -27,7 +27,7 @@ from hil.report.render import write_page
 from hil.report.words import duration, joint_title
 
 if TYPE_CHECKING:
-    from hil.planning.excitation_report import ExcitationReport
+    from hil.planning import ExcitationReport
 
 OPEN = 2
 """Trajectories that are open on the page; the others open on a click."""

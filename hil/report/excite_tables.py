@@ -10,8 +10,8 @@ from hil.report.blocks import Cell, Column, Table, cells
 from hil.report.words import UNKNOWN, joint_title, number
 
 if TYPE_CHECKING:
-    from hil.excitation.information import Information
-    from hil.planning.excitation_report import ExcitationReport
+    from hil.excitation import Information
+    from hil.planning import ExcitationReport
 
 DEGREES = 180 / np.pi
 

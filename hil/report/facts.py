@@ -11,10 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.core.errors import DataError, HilError
-from hil.core.live_lock import is_live
-from hil.recording.parts import name_of_attempt
-from hil.recording.rundir import RunDirectory
+from hil.core import DataError, HilError, is_live
+from hil.recording import RunDirectory, name_of_attempt
 from hil.report.documents import (
     Document,
     as_float,
@@ -30,7 +28,7 @@ from hil.report.interrupted import recorded_by
 from hil.report.load_criteria import with_load_criteria
 from hil.report.soundness import is_known, plan_of, torn
 from hil.report.study_facts import StudyFacts, read_studies
-from hil.spec.load import load_spec
+from hil.spec import load_spec
 
 PLURALS = {"trajectory": "trajectories", "weigh": "weighings"}
 

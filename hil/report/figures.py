@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from hil.core.typing import FloatArray, IntArray
+from hil.core import FloatArray, IntArray
 from hil.report import colours
 from hil.report.decimate import Shown, binned, decimated, in_parts, summarised, thinned
 from hil.report.study_curves import look

@@ -7,8 +7,8 @@ from pathlib import PurePath
 
 import numpy as np
 
-from hil.core.typing import FloatArray
-from hil.data.dataset import Conditions
+from hil.core import FloatArray
+from hil.data import Conditions
 from hil.report import colours, figures
 from hil.report.blocks import Panel, Plots
 from hil.report.figures import Figure

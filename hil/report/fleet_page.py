@@ -7,9 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.models.fleet_outliers import FAMILY_WISE, FEWEST, Standing
-from hil.models.fleet_survey import Survey
-from hil.models.fleet_surveyed import Surveyed
+from hil.models import FAMILY_WISE, FEWEST, Standing, Survey, Surveyed
 from hil.report.blocks import (
     Badge,
     Cell,

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.core.typing import BoolArray, FloatArray
-from hil.models.fleet_outliers import Standing
-from hil.models.fleet_survey import Survey
+from hil.core import BoolArray, FloatArray
+from hil.models import Standing, Survey
 from hil.report import colours
 from hil.report.blocks import Panel, Plots
 from hil.report.figures import Figure

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.report import colours
 from hil.report.blocks import Panel, Plots
 from hil.report.decimate import binned, thinned

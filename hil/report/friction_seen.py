@@ -6,10 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.core.typing import BoolArray, FloatArray, IntArray
-from hil.data.dataset import Dataset
-from hil.data.dwells import series_means
-from hil.data.prediction import Model, Prediction
+from hil.core import BoolArray, FloatArray, IntArray
+from hil.data import Dataset, Model, Prediction, series_means
 from hil.report.fit_facts import HONEST
 
 PART, LEARNED = "friction", "residual"
@@ -90,8 +88,7 @@ class Friction:
 
 def scale_of(model: Model) -> tuple[FloatArray, str]:
     """What turns efforts of a model into its friction's unit, (n,) or (1,), and that unit."""
-    from hil.estimators.base import RobotEstimator
-    from hil.estimators.standstill import knows_torque
+    from hil.estimators import RobotEstimator, knows_torque
 
     if isinstance(model, RobotEstimator) and knows_torque(model):
         return model.torque_scale_, "N·m"
@@ -156,7 +153,7 @@ def _told(prediction: Prediction) -> FloatArray:
 
 
 def _law(model: Model, qd: FloatArray) -> Law | None:
-    from hil.estimators.friction_curve import HasFrictionCurve
+    from hil.estimators import HasFrictionCurve
 
     if not isinstance(model, HasFrictionCurve):
         return None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.estimators.friction_curve import OFFSET, STATIC, VISCOUS
+from hil.estimators import OFFSET, STATIC, VISCOUS
 from hil.report import colours
 from hil.report.friction_seen import AtRest, InMotion, Law
 from hil.report.words import number

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.report import colours, figures
 from hil.report.blocks import Block, Column, Facts, Panel, Plots, Section, Table, cells, items
 from hil.report.decimate import Shown

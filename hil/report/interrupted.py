@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from hil.core.errors import DataError
-from hil.importers.completeness import completeness_of, rows_of
-from hil.planning.plan import Plan
-from hil.recording.continuity import Counts
-from hil.recording.parts import attempt_of
-from hil.recording.rundir import RunDirectory
-from hil.recording.span import recorded_s
+from hil.core import DataError
+from hil.importers import completeness_of, rows_of
+from hil.planning import Plan
+from hil.recording import Counts, RunDirectory, attempt_of, recorded_s
 from hil.report.documents import Document
 
 _ADDED = ("samples", "gaps", "missing", "duplicates")

@@ -7,7 +7,7 @@ import math
 import shlex
 from collections.abc import Sequence
 
-from hil.recording.rundir import RunDirectory
+from hil.recording import RunDirectory
 from hil.report.blocks import Badge, Mark
 from hil.report.commissioning import next_commissioning
 from hil.report.documents import Document, as_float, as_object, as_objects

@@ -6,7 +6,7 @@ from itertools import accumulate
 
 import numpy as np
 
-from hil.networks.training_loop.curves import Curves
+from hil.networks import Curves
 from hil.report import colours
 from hil.report.blocks import Panel, Plots
 from hil.report.documents import as_object

@@ -7,10 +7,9 @@ the rest of the report.
 
 from __future__ import annotations
 
-from hil.core.errors import DataError
-from hil.data.dataset import Dataset, SeriesKind
-from hil.importers.described import dwell_rule_of, origin_of_run, steps_of_plan
-from hil.importers.series import Origin, Series, assemble, cut
+from hil.core import DataError
+from hil.data import Dataset, SeriesKind
+from hil.importers import Origin, Series, assemble, cut, dwell_rule_of, origin_of_run, steps_of_plan
 from hil.report.facts import RunFacts
 from hil.report.recording import Recording
 

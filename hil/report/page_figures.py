@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.errors import DataError
+from hil.core import DataError
 from hil.report.figure_shape import checked_figure
 
 

@@ -12,14 +12,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypeAlias, get_args
 
-from hil.core import plugins
-from hil.core.errors import DataError, PluginError, RecordingError, SpecError
-from hil.core.files import write_replacing
+from hil.core import DataError, PluginError, RecordingError, SpecError, plugins, write_replacing
 from hil.report.page_figures import PagePlots, figures_of
 from hil.report.paper_tables import csv_text, latex_text
 from hil.report.study_words import distinct_titles
-from hil.studies.result import Figure, Part, StudyResult, Table
-from hil.studies.store import read_study, study_files
+from hil.studies import Figure, Part, StudyResult, Table, read_study, study_files
 
 Format: TypeAlias = Literal["pdf", "svg", "png"]
 Width: TypeAlias = Literal["column", "page"]

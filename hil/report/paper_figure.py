@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.report.paper_style import (
     HATCHES,
     LEAST_PANEL,
@@ -33,7 +33,7 @@ from hil.report.study_curves import (
     x_of,
     y_of,
 )
-from hil.studies.result import Curve, Figure, Panel
+from hil.studies import Curve, Figure, Panel
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.report.page_figures import PagePanel
 from hil.report.paper_figure import folded, legend, on_sheet, titles
 from hil.report.paper_style import HATCHES, LEAST_PANEL, LINES, MARKS, MM, WIDTHS
-from hil.studies.result import Panel
+from hil.studies import Panel
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,7 +7,7 @@ import io
 from collections.abc import Sequence
 
 from hil.report.study_words import columns_of, is_numeric
-from hil.studies.result import Table, Value
+from hil.studies import Table, Value
 
 _GREEK = {
     "α": "alpha",

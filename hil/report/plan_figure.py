@@ -10,11 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.core.files import write_replacing
-from hil.core.typing import FloatArray
-from hil.excitation.motion import Line
-from hil.planning.plan import Plan
-from hil.planning.plan_preview import preview
+from hil.core import FloatArray, write_replacing
+from hil.excitation import Line
+from hil.planning import Plan, preview
 from hil.report import svg
 from hil.report.plan_figure_style import STYLE
 from hil.report.plan_timeline import Span, Timeline, timeline_of

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 
-from hil.core.notebook import CARDS, card, number
-from hil.planning.plan import Plan
-from hil.planning.plan_preview import preview
+from hil.core import CARDS, card, number
+from hil.planning import Plan, preview
 from hil.report.plan_figure import picture_of
 
 

@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hil.core.typing import FloatArray
-from hil.planning.plan import Plan, Step
+from hil.core import FloatArray
+from hil.planning import Plan, Step
 
 PLACES = 2000
 """Flange positions that are drawn at most."""

@@ -9,12 +9,18 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.core.errors import DataError
-from hil.core.typing import FloatArray, IntArray
-from hil.data.dataset import Conditions, Dataset
-from hil.data.dwells import series_means
-from hil.data.filters import FilterSettings, derivative, is_prepared, prepare
-from hil.data.prediction import Model, Prediction
+from hil.core import DataError, FloatArray, IntArray
+from hil.data import (
+    Conditions,
+    Dataset,
+    FilterSettings,
+    Model,
+    Prediction,
+    derivative,
+    is_prepared,
+    prepare,
+    series_means,
+)
 from hil.report.documents import as_names
 from hil.report.fit_facts import FitFacts
 from hil.report.friction_seen import Friction, at_rest, in_motion, scale_of
@@ -102,8 +108,8 @@ def show(folder: Path, data: Dataset) -> Shown:
     Raises:
         HilError: The model cannot be loaded, or does not fit the data.
     """
-    from hil.estimators.model_file import load_model_file
-    from hil.evaluation.fitting import usable_part
+    from hil.estimators import load_model_file
+    from hil.evaluation import usable_part
 
     model = load_model_file(folder)
     return shown(model, usable_part(data, model))

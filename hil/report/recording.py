@@ -9,13 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.core.errors import DataError
-from hil.core.typing import FloatArray, IntArray, StructArray
-from hil.recording.continuity import Counts
-from hil.recording.parts import attempt_of
-from hil.recording.reader import read_topic
-from hil.recording.rundir import RunDirectory
-from hil.recording.writer import PARTIAL_SUFFIX
+from hil.core import DataError, FloatArray, IntArray, StructArray
+from hil.recording import PARTIAL_SUFFIX, Counts, RunDirectory, attempt_of, read_topic
 from hil.report.documents import as_index
 from hil.report.facts import RunFacts
 

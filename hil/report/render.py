@@ -7,8 +7,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hil.core.files import write_replacing
-from hil.core.text import utf8_text
+from hil.core import utf8_text, write_replacing
 from hil.report import colours
 from hil.report.blocks import Page, Section
 from hil.report.encode import figure_json

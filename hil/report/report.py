@@ -11,10 +11,10 @@ from importlib.metadata import version
 from pathlib import Path
 
 from hil.arms import require_same_arm
-from hil.core.errors import DataError, HilError
-from hil.data.dataset import Dataset
-from hil.importers.described import robot_of_run
-from hil.recording.rundir import RunDirectory
+from hil.core import DataError, HilError
+from hil.data import Dataset
+from hil.importers import robot_of_run
+from hil.recording import RunDirectory
 from hil.report.background import preflight, provenance, timeline
 from hil.report.blocks import Page, Section
 from hil.report.excitation import excitation

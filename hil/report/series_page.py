@@ -18,8 +18,8 @@ from hil.report.series_models import models_tables
 from hil.report.study_facts import read_studies
 from hil.report.study_words import columns_of, is_numeric, protocol_mark
 from hil.report.words import UNKNOWN, when
-from hil.studies.result import Part, StudyResult
-from hil.studies.result import Table as StudyTable
+from hil.studies import Part, StudyResult
+from hil.studies import Table as StudyTable
 
 PAGE = "series.html"
 VERDICTS = {"passed": True, "rejected": False}

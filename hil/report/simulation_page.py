@@ -10,11 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.files import read_json, require_known_version
-from hil.models.drift.bands import Banded, banded
-from hil.models.drift.chart import REFERENCE
-from hil.models.log import Entry
-from hil.models.registry import Registry
+from hil.core import read_json, require_known_version
+from hil.models import REFERENCE, Banded, Entry, Registry, banded
 from hil.report import colours
 from hil.report import drift_figures as figures
 from hil.report.blocks import (

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hil.core.errors import DataError
-from hil.data.stays import FOUND_FILE
-from hil.planning.plan import Plan
-from hil.planning.plan_file import read_plan
-from hil.recording.ending import has_its_beginning, torn_although_finished
-from hil.recording.lost import hint_of_lost
-from hil.recording.rundir import RunDirectory
+from hil.core import DataError
+from hil.data import FOUND_FILE
+from hil.planning import Plan, read_plan
+from hil.recording import RunDirectory, has_its_beginning, hint_of_lost, torn_although_finished
 from hil.report.documents import Document, document
 
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hil.core.typing import FloatArray, IntArray
+from hil.core import FloatArray, IntArray
 from hil.report import colours
 from hil.report.decimate import extremes, thinned
 from hil.report.traces import span
-from hil.studies.result import Curve, Figure, Panel
+from hil.studies import Curve, Figure, Panel
 
 PALETTE = (
     colours.MEASURED,

@@ -6,10 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from hil.core.errors import DataError
+from hil.core import DataError
 from hil.report.documents import Document, document
-from hil.studies.result import StudyResult
-from hil.studies.store import problem_files, read_study, study_files
+from hil.studies import StudyResult, problem_files, read_study, study_files
 
 
 @dataclass(frozen=True, slots=True)

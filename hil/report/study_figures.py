@@ -23,7 +23,7 @@ from hil.report.study_curves import (
 )
 from hil.report.traces import Trace, axes, corner, line, markers
 from hil.report.words import number
-from hil.studies.result import Curve, Figure, Panel
+from hil.studies import Curve, Figure, Panel
 
 GLYPHS = {
     "circle": "●",

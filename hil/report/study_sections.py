@@ -18,8 +18,8 @@ from hil.report.study_words import (
     short_titles,
 )
 from hil.report.words import duration, in_words
-from hil.studies.result import Part, StudyResult
-from hil.studies.result import Table as StudyTable
+from hil.studies import Part, StudyResult
+from hil.studies import Table as StudyTable
 
 MOST_POINTS = 150_000
 """Of all series of a page together: about 2 MB, beside 5 MB of the plotting library."""

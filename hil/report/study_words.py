@@ -9,7 +9,7 @@ from statistics import median_low
 from typing import Any
 
 from hil.report.words import UNKNOWN, in_words, listed, number
-from hil.studies.result import StudyResult, Table, Value
+from hil.studies import StudyResult, Table, Value
 
 HONEST = "honest"
 HONEST_MEANS = (

@@ -8,7 +8,7 @@ from html import escape
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ from textwrap import wrap
 
 import numpy as np
 
-from hil.estimators.model_folder import models_below
+from hil.estimators import models_below
 from hil.report.documents import as_float
 from hil.report.facts import RunFacts, read_facts
 from hil.report.fit_facts import FitFacts

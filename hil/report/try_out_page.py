@@ -6,10 +6,18 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.control.trial.found import found
-from hil.control.trial.judged import improvement, judged, most_help, relief, unaided
-from hil.control.trial.leading import DATASHEET, GRAVITY, NOTHING
-from hil.control.trial.result import Trial
+from hil.control import (
+    DATASHEET,
+    GRAVITY,
+    NOTHING,
+    Trial,
+    found,
+    improvement,
+    judged,
+    most_help,
+    relief,
+    unaided,
+)
 from hil.report.blocks import (
     Badge,
     Cell,

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.errors import DataError
+from hil.core import DataError
 
 CDR_HEADER = b"\x00\x01\x00\x00"
 """Encapsulation header of plain little-endian CDR."""

@@ -18,7 +18,7 @@ import sys
 import threading
 import traceback
 
-from hil.core.errors import HilError
+from hil.core import HilError
 from hil.robot.documents import error_document
 from hil.robot.frames import pack
 from hil.robot.hosted import REST_S, HostedRobot

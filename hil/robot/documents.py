@@ -9,10 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core import errors
-from hil.core.errors import HilError, RobotError, SpecError
-from hil.core.typing import FloatArray, StructArray
+from hil.arms import Payload
+from hil.core import FloatArray, HilError, RobotError, SpecError, StructArray, errors
 from hil.robot.frames import garbage
 from hil.robot.protocol import (
     Segment,

@@ -14,8 +14,7 @@ import weakref
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from hil.core.errors import PluginError, RobotConnectionError, RobotTimeout
-from hil.core.typing import StructArray
+from hil.core import PluginError, RobotConnectionError, RobotTimeout, StructArray
 from hil.robot.documents import error_from, understood
 from hil.robot.frames import Message, pack
 from hil.robot.spawn import end_of, is_suspended, last_words, new_log, printed_to, spawn

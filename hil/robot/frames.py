@@ -19,8 +19,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from hil.core.errors import RobotConnectionError
-from hil.core.typing import StructArray
+from hil.core import RobotConnectionError, StructArray
 
 PREFIX = struct.Struct("<4sII")
 MAGIC = b"hil1"

@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.errors import RobotConnectionError, RobotError
-from hil.core.typing import StructArray
+from hil.core import RobotConnectionError, RobotError, StructArray
 from hil.robot.documents import error_document, payload_from, segment_from
 from hil.robot.facts import facts_document
 from hil.robot.findings import HasChecks

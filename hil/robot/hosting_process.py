@@ -8,8 +8,7 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from hil.core.errors import RobotConnectionError
-from hil.core.typing import StructArray
+from hil.core import RobotConnectionError, StructArray
 from hil.robot.address import Address
 from hil.robot.documents import plain_options, understood
 from hil.robot.driver_process import DriverProcess

@@ -20,9 +20,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
-from hil.core.errors import RobotConnectionError, SpecError
-from hil.core.held_file import HeldFile, hold, holder_of
-from hil.core.holder import Holder, this_process
+from hil.core import (
+    HeldFile,
+    Holder,
+    RobotConnectionError,
+    SpecError,
+    hold,
+    holder_of,
+    this_process,
+)
 from hil.robot.protocol import HasResource, Robot
 
 SUFFIX = ".lease"

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
-from hil.core.typing import StructArray
+from hil.core import StructArray
 
 if TYPE_CHECKING:
     from hil.robot.topic import Topic

@@ -10,9 +10,8 @@ from dataclasses import asdict
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.errors import CommandRefused, HilError, RobotConnectionError
-from hil.core.typing import StructArray
+from hil.arms import Payload
+from hil.core import CommandRefused, HilError, RobotConnectionError, StructArray
 from hil.robot.documents import payload_from, segment_document, understood
 from hil.robot.frames import garbage
 from hil.robot.hosting_process import COMMAND_S, HostingProcess

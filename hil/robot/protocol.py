@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, Protocol, runtime_checkable
 
-from hil.arms.payload import Payload
-from hil.core.typing import FloatArray, StructArray
+from hil.arms import Payload
+from hil.core import FloatArray, StructArray
 
 if TYPE_CHECKING:
     from hil.robot.topic import Topic

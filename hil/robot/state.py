@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.typing import StructArray
+from hil.core import StructArray
 
 STATE_SCHEMA_VERSION = 1
 

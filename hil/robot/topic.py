@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.errors import RecordingError
-from hil.core.typing import StructArray
+from hil.core import RecordingError, StructArray
 from hil.robot.cdr import ROS_OF_NUMPY, cdr_problem
 from hil.robot.state import STATE_SCHEMA_VERSION, state_dtype
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar, Protocol, runtime_checkable
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 
 
 @runtime_checkable

@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 import time
 
-from hil.core.errors import RobotConnectionError, RobotTimeout
+from hil.core import RobotConnectionError, RobotTimeout
 from hil.robot.frames import MAGIC, MOST_BODY, MOST_HEADER, PREFIX, Message, garbage, unpack
 
 _CHUNK = 1 << 18

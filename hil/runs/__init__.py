@@ -1,1 +1,5 @@
 """Runs found, exported and let go: a view of run directories that can always be made anew."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from hil.runs.summary import (entry_of, number_in)
-from hil.core.errors import DataError
-from hil.core.files import read_json
-from hil.core.quick_yaml import look_into
+from hil.core import DataError
+from hil.core import read_json
+from hil.core import look_into
 from hil.runs.listing import listing_of
 
 LARGEST_SPEC = 262_144

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from hil.core.errors import DataError
-from hil.core.live_lock import is_live
-from hil.core.suggest import closest
-from hil.recording.numbering import (name_for_path, number_of, run_folders)
-from hil.recording.rundir import (RunDirectory, RunStatus)
-from hil.recording.writer import PARTIAL_SUFFIX
+from hil.core import DataError
+from hil.core import is_live
+from hil.core import closest
+from hil.recording import (name_for_path, number_of, run_folders)
+from hil.recording import (RunDirectory, RunStatus)
+from hil.recording import PARTIAL_SUFFIX
 
 LAST = "last"
 """Names the newest run."""

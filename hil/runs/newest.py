@@ -9,7 +9,7 @@ from typing import Any
 
 from hil.runs.facts import started_s
 from hil.runs.together import start_of
-from hil.recording.rundir import RunDirectory
+from hil.recording import RunDirectory
 
 
 def measured_after(entries: Sequence[dict[str, Any]]) -> dict[str, int]:

@@ -13,12 +13,12 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import DataError, RegistryError
-from hil.core.files import read_json, sha256_of
-from hil.recording.rundir import RunDirectory
-from hil.recording.writer import PARTIAL_SUFFIX
-from hil.models.registry import Registry
-from hil.models.version import ModelVersion
+from hil.core import (DataError, RegistryError)
+from hil.core import (read_json, sha256_of)
+from hil.recording import RunDirectory
+from hil.recording import PARTIAL_SUFFIX
+from hil.models import Registry
+from hil.models import ModelVersion
 
 _BELOW = 3
 """Parts of a run's path that stay when all runs are moved together: day, robot, directory."""
@@ -137,7 +137,7 @@ def origins(registries: Iterable[Path]) -> Origins:
 
 
 def _collect(root: Path, found: Origins) -> None:
-    from hil.models.drift.history import probes_of
+    from hil.models import probes_of
 
     if not root.is_dir():
         raise RegistryError(

@@ -13,12 +13,12 @@ from typing import Any
 from hil.runs.facts import facts_of
 from hil.runs.origins import origins
 from hil.runs.retention import (Decision, Policy, guard, why_link)
-from hil.core.errors import DataError, RecordingError
-from hil.core.files import fsync_directory
-from hil.core.live_lock import hold_run
-from hil.recording.numbering import folders_in
-from hil.recording.provenance import (operator, utc_now)
-from hil.recording.rundir import (PRUNED, RunDirectory)
+from hil.core import (DataError, RecordingError)
+from hil.core import fsync_directory
+from hil.core import hold_run
+from hil.recording import folders_in
+from hil.recording import (operator, utc_now)
+from hil.recording import (PRUNED, RunDirectory)
 
 TRASH = ".trash-"
 """Beginning of what was renamed and is on its way out; no run begins with a dot."""

@@ -15,10 +15,10 @@ from hil.runs.origins import (Lost, Origins, origins)
 from hil.runs.together import groups
 from hil.runs.trained_rows import why_by_rows
 from hil.runs.view import find_runs
-from hil.core.durations import duration_text
-from hil.core.errors import SpecError
-from hil.recording.numbering import run_folders
-from hil.recording.rundir import RunDirectory
+from hil.core import duration_text
+from hil.core import SpecError
+from hil.recording import run_folders
+from hil.recording import RunDirectory
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
-from hil.core.errors import DataError
-from hil.core.files import read_json
-from hil.core.live_lock import LOCK, is_live
-from hil.recording.numbering import folders_in
+from hil.core import DataError
+from hil.core import read_json
+from hil.core import (LOCK, is_live)
+from hil.recording import folders_in
 
 SETTLED_NS = 2 * 10**9
 """A folder that was changed more lately may have been changed once more at the same time stamp."""

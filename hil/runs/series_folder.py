@@ -13,17 +13,11 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import DataError, HilError
-from hil.core.files import (
-    json_document,
-    new_folder,
-    read_json,
-    require_known_version,
-    write_replacing,
-)
-from hil.planning.commissioning import Commissioning
-from hil.recording.numbering import name_for_path
-from hil.spec.series import SeriesSpec
+from hil.core import (DataError, HilError)
+from hil.core import (json_document, new_folder, read_json, require_known_version, write_replacing)
+from hil.planning import Commissioning
+from hil.recording import name_for_path
+from hil.spec import SeriesSpec
 
 DOCUMENT, PAGE = "series.json", "series.html"
 FORMAT = 1
@@ -105,7 +99,7 @@ class SeriesFolder:
         """
         moved = [{**run, **self._seen_from_here(run)} for run in runs]
         write_replacing(self.path / DOCUMENT, json_document({**self.head, "runs": moved}))
-        from hil.report.series_page import render_series
+        from hil.report import render_series
 
         try:
             return render_series(self.path)

@@ -7,7 +7,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from hil.core.live_lock import LOCK
+from hil.core import LOCK
 
 SETTLED_S = 2.0
 """What was changed less long ago may change again within the same tick of a clock [s]."""

@@ -7,17 +7,17 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from hil.evaluation.run_verdict import verdict_word
-from hil.core.errors import DataError, HilError
-from hil.core.files import read_json
-from hil.core.live_lock import is_live
-from hil.core.text import shell_word
-from hil.estimators.model_folder import models_below
+from hil.evaluation import verdict_word
+from hil.core import (DataError, HilError)
+from hil.core import read_json
+from hil.core import is_live
+from hil.core import shell_word
+from hil.estimators import models_below
 from hil.runs.listing import RunListing
 from hil.runs.listing import run_listings
-from hil.recording.parts import name_of_attempt
-from hil.recording.rundir import (PRUNED, RunDirectory)
-from hil.recording.span import recorded_s
+from hil.recording import name_of_attempt
+from hil.recording import (PRUNED, RunDirectory)
+from hil.recording import recorded_s
 
 _STUDY_FILES = "study/*/study.json"
 
@@ -43,8 +43,8 @@ def next_command(listing: RunListing) -> str:
     if "replayed" in start:
         return ""
     if "commissioning" in start and (run.path / "report.html").is_file():
-        from hil.report.commissioning import next_commissioning
-        from hil.report.facts import read_facts
+        from hil.report import next_commissioning
+        from hil.report import read_facts
 
         with contextlib.suppress(HilError):
             if listing.status != "completed":

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from hil.runs.series_folder import (SeriesFolder, is_series_folder)
-from hil.core.errors import DataError
-from hil.core.files import read_json
-from hil.recording.numbering import folders_in
+from hil.core import DataError
+from hil.core import read_json
+from hil.recording import folders_in
 
 
 def groups(runs: Path, paths: Iterable[Path]) -> list[tuple[str, set[Path]]]:

@@ -11,10 +11,10 @@ from functools import cache
 from pathlib import Path
 
 from hil.runs.origins import Lost
-from hil.core.errors import HilError, RegistryError
-from hil.data.fingerprints import Sketch
-from hil.importers.load import load_source
-from hil.estimators.model_file import load_model_file
+from hil.core import (HilError, RegistryError)
+from hil.data import Sketch
+from hil.importers import load_source
+from hil.estimators import load_model_file
 
 
 def why_by_rows(lost: Iterable[Lost]) -> Callable[[Path], str]:

@@ -19,8 +19,8 @@ from typing import Any
 from hil.runs.facts import (facts_of, started_s)
 from hil.runs.query import (Query, parse, plain)
 from hil.runs.stamp import (ALWAYS_READ, stamp_of)
-from hil.core.errors import RecordingError
-from hil.core.files import write_replacing
+from hil.core import RecordingError
+from hil.core import write_replacing
 from hil.runs.listing import run_paths
 
 FILE = ".catalogue.sqlite"

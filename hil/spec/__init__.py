@@ -1,17 +1,5 @@
 """YAML to typed, frozen specs."""
 
-from hil.spec.experiment import ExperimentSpec
-from hil.spec.hashing import spec_hash
-from hil.spec.load import load_spec, load_station, resolve_robot, spec_from_text
-from hil.spec.station import Station, StationRobot
+import lazy_loader
 
-__all__ = [
-    "ExperimentSpec",
-    "Station",
-    "StationRobot",
-    "load_spec",
-    "load_station",
-    "resolve_robot",
-    "spec_from_text",
-    "spec_hash",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

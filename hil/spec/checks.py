@@ -15,11 +15,17 @@ from typing import Any
 from pydantic import ValidationError
 
 from hil.arms import arm_names
-from hil.core import plugins
-from hil.core.errors import HilError, PluginError
-from hil.core.neighbours import no_file_but
-from hil.core.source import Path, Source, shown
-from hil.core.suggest import closest, did_you_mean
+from hil.core import (
+    HilError,
+    Path,
+    PluginError,
+    Source,
+    closest,
+    did_you_mean,
+    no_file_but,
+    plugins,
+    shown,
+)
 from hil.spec.interlocks import INTERLOCK_KINDS
 
 RECORDED = {"dwell": ("dwell", "dwells"), "fourier": ("trajectory", "trajectories")}

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from functools import cache
 from importlib.resources import files
 
-from hil.core.errors import SpecError
+from hil.core import SpecError
 from hil.spec.describe import KeyInfo, keys_below
 from hil.spec.model_tree import Model
 

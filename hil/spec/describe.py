@@ -16,10 +16,7 @@ from typing import Annotated, Any, Union, get_args, get_origin
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from hil.core.errors import SpecError
-from hil.core.source import Path, dotted
-from hil.core.suggest import closest
-from hil.core.units import symbol_of
+from hil.core import Path, SpecError, closest, dotted, symbol_of
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.fleet import FleetSpec
 from hil.spec.model_tree import Model, choices_of, is_model, keys_of, kinds_of, plain, tree

@@ -7,9 +7,7 @@ from typing import Any, NamedTuple, get_args
 
 from pydantic_core import ErrorDetails
 
-from hil.core.source import MOST_PROBLEMS, Path, Source
-from hil.core.suggest import closest
-from hil.core.units import same_quantity
+from hil.core import MOST_PROBLEMS, Path, Source, closest, same_quantity
 from hil.spec.model_tree import Model, is_model, keys_of, locate, plain
 
 

@@ -6,7 +6,7 @@ from pathlib import Path as FilePath
 
 from pydantic import Field
 
-from hil.core.yaml_source import read_source
+from hil.core import read_source
 from hil.spec.load import refuse_other_kind, validated
 from hil.spec.quantities import FormatVersion, Name, Strict
 

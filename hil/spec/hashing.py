@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import SpecError
+from hil.core import SpecError
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.interlocks import SpeedScalingInterlock
 

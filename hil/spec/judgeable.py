@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from hil.core.errors import SpecError
-from hil.core.source import Path, dotted
+from hil.core import Path, SpecError, dotted
 from hil.spec.experiment import ExperimentSpec
 
 UNITS = {"current": "A", "torque": "N·m"}

@@ -9,10 +9,18 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
-from hil.core.errors import SpecError
-from hil.core.source import MOST_PROBLEMS, Problem, Source, dotted, refuse, shown
-from hil.core.suggest import did_you_mean
-from hil.core.yaml_source import parse, read_source
+from hil.core import (
+    MOST_PROBLEMS,
+    Problem,
+    Source,
+    SpecError,
+    did_you_mean,
+    dotted,
+    parse,
+    read_source,
+    refuse,
+    shown,
+)
 from hil.spec.checks import (
     check_estimators,
     check_interlocks,

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from hil.arms.payload import Payload
+from hil.arms import Payload
 from hil.spec.quantities import IS_NUMBER, Finite, NonNegative, Strict, mistake
 
 # What is longer than ten metres is a slip of the unit, and no flange carries it.

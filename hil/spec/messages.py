@@ -6,10 +6,21 @@ import re
 from collections.abc import Callable
 from typing import Any
 
-from hil.core.source import Path, Problem, Source, dotted, shown
-from hil.core.suggest import closest, did_you_mean
-from hil.core.units import converted, parse_quantity, same_quantity, split_unit, symbol_of
-from hil.core.yaml_nodes import CORE_SCALARS
+from hil.core import (
+    CORE_SCALARS,
+    Path,
+    Problem,
+    Source,
+    closest,
+    converted,
+    did_you_mean,
+    dotted,
+    parse_quantity,
+    same_quantity,
+    shown,
+    split_unit,
+    symbol_of,
+)
 from hil.spec.findings import Finding
 from hil.spec.model_tree import Model, choices_of, is_model, keys_of, kinds_of, plain, tree
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path as FilePath
 
-from hil.core.neighbours import no_file_but
-from hil.core.source import Path, Source
+from hil.core import Path, Source, no_file_but
 from hil.spec.checks import is_file
 from hil.spec.load import no_such_kind
 

@@ -9,10 +9,7 @@ from pathlib import Path
 
 import yaml
 
-from hil.core.errors import SpecError
-from hil.core.quick_yaml import look_into
-from hil.core.source import shown
-from hil.core.yaml_source import parse
+from hil.core import SpecError, look_into, parse, shown
 from hil.spec.commented import commented
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.load import validated

@@ -9,10 +9,7 @@ from typing import Any
 
 import yaml
 
-from hil.core.errors import SpecError
-from hil.core.source import Mark, Path, Source, shown
-from hil.core.yaml_source import read_source
-from hil.core.yaml_values import parse_text
+from hil.core import Mark, Path, Source, SpecError, parse_text, read_source, shown
 
 
 def lay_over(source: Source, overrides: Mapping[str, str]) -> None:

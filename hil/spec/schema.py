@@ -12,7 +12,7 @@ from typing import Any
 
 from pydantic.json_schema import GenerateJsonSchema
 
-from hil.core.units import split_unit, symbol_of
+from hil.core import split_unit, symbol_of
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.fleet import FleetSpec
 from hil.spec.quantities import Strict

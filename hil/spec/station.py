@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field
 
-from hil.core.text import json_text, name_text
+from hil.core import json_text, name_text
 from hil.spec.quantities import (
     Finite,
     FormatVersion,

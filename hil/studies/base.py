@@ -7,12 +7,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, TypeAlias
 
-from hil.core import plugins
-from hil.core.errors import SpecError
-from hil.data.dataset import Dataset
+from hil.core import SpecError, plugins
+from hil.data import Dataset
 from hil.dynamics import RobotModel
-from hil.estimators.checks import Needs
-from hil.estimators.parameters import Parametrised, require_known
+from hil.estimators import Needs, Parametrised, require_known
 from hil.studies.result import StudyResult
 
 GROUP = "hil.studies"

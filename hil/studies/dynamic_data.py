@@ -8,20 +8,22 @@ from itertools import pairwise
 
 import numpy as np
 
-from hil.core.errors import DataError
-from hil.core.typing import BoolArray, FloatArray
-from hil.data.dataset import Dataset
-from hil.data.filters import (
+from hil.core import BoolArray, DataError, FloatArray
+from hil.data import (
     CLOCK,
     MAX_NYQUIST_FRACTION,
+    Dataset,
     FilterSettings,
+    Split,
     downsample,
+    groups,
+    paper_sample_split,
     prepare,
     sample_rate,
+    split,
 )
-from hil.data.splits import Split, groups, paper_sample_split, split
 from hil.dynamics import RobotModel
-from hil.estimators.checks import Needs, require_robot, torque_scale
+from hil.estimators import Needs, require_robot, torque_scale
 
 NEEDS = Needs({"trajectories": 3}, gains=True)
 """Trajectories to fit on, for methods that choose something, and to judge on."""

@@ -10,12 +10,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import ClassVar
 
-from hil.core.errors import FitError
-from hil.core.executor import cores
-from hil.data.dataset import Dataset, SeriesKind
+from hil.core import FitError, cores
+from hil.data import Dataset, SeriesKind
 from hil.dynamics import RobotModel
-from hil.estimators.checks import Needs
-from hil.estimators.parameters import flag, number, whole
+from hil.estimators import Needs, flag, number, whole
 from hil.studies import dynamic_tables as tables
 from hil.studies.base import Progress, Study, silent
 from hil.studies.dynamic_data import NEEDS, trajectories_of

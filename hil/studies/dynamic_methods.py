@@ -9,14 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from hil.core import plugins
-from hil.core.errors import HilError
-from hil.core.typing import BoolArray, FloatArray, IntArray
-from hil.data.dataset import Dataset
-from hil.data.filters import FilterSettings
-from hil.data.metrics import mep, rmse
+from hil.core import BoolArray, FloatArray, HilError, IntArray, plugins
+from hil.data import Dataset, FilterSettings, mep, rmse
 from hil.dynamics import RobotModel
-from hil.estimators.base import GROUP, RobotEstimator, estimator
+from hil.estimators import GROUP, RobotEstimator, estimator
 from hil.studies.dynamic_data import MOVING, REVERSAL, Parts
 
 SHOWN = 250

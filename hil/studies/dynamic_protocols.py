@@ -8,8 +8,8 @@ from functools import partial
 
 import numpy as np
 
-from hil.core.typing import FloatArray
-from hil.data.dataset import Dataset
+from hil.core import FloatArray
+from hil.data import Dataset
 from hil.dynamics import RobotModel
 from hil.studies.dynamic_data import Parts, Trajectories, honest_parts, paper_parts
 from hil.studies.dynamic_methods import Method, Score, fit_and_score, shown_rows

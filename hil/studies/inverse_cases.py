@@ -7,13 +7,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.errors import DataError
-from hil.core.typing import BoolArray, FloatArray
-from hil.data.dataset import Dataset
-from hil.data.filters import FilterSettings, prepare
-from hil.data.parts import JUDGE, LEARN, PART, VALIDATE, with_part
-from hil.data.splits import Group, assert_disjoint, group_of, groups
+from hil.arms import Payload
+from hil.core import BoolArray, DataError, FloatArray
+from hil.data import (
+    JUDGE,
+    LEARN,
+    PART,
+    VALIDATE,
+    Dataset,
+    FilterSettings,
+    Group,
+    assert_disjoint,
+    group_of,
+    groups,
+    prepare,
+    with_part,
+)
 from hil.dynamics import RobotModel
 from hil.studies.dynamic_data import SHARES, Trajectories, held_out, marked, trajectories_of
 from hil.studies.dynamic_protocols import light

@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.studies.inverse_found import Found
 from hil.studies.inverse_score import Shown, evenly
 from hil.studies.inverse_tables import carried, under

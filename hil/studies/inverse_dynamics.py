@@ -9,13 +9,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import ClassVar
 
-from hil.core.dask_cluster import checked_address, cluster
-from hil.core.errors import FitError
-from hil.core.executor import cores
-from hil.data.dataset import Dataset, SeriesKind
+from hil.core import FitError, checked_address, cluster, cores
+from hil.data import Dataset, SeriesKind
 from hil.dynamics import RobotModel
-from hil.estimators.checks import Needs
-from hil.estimators.parameters import MOST_SEED, flag, number, whole
+from hil.estimators import MOST_SEED, Needs, flag, number, whole
 from hil.studies import inverse_drawn as drawn
 from hil.studies import inverse_tables as tables
 from hil.studies.base import Progress, Study, silent

@@ -7,11 +7,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
-from hil.core import plugins
-from hil.core.errors import HilError
-from hil.data.dataset import Dataset
+from hil.core import HilError, plugins
+from hil.data import Dataset
 from hil.dynamics import RobotModel
-from hil.estimators.base import GROUP, RobotEstimator, estimator
+from hil.estimators import GROUP, RobotEstimator, estimator
 from hil.studies.inverse_cases import Case
 from hil.studies.inverse_methods import ROWS, Row, unfitted
 from hil.studies.inverse_score import Judged, judged, nothing

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.core.typing import FloatArray
-from hil.data.filters import motion_rates
+from hil.core import FloatArray
+from hil.data import motion_rates
 from hil.studies.inverse_cases import Case
 from hil.studies.inverse_methods import LATENCY_S, PREVIOUS_S, ROWS
 from hil.studies.inverse_noise import Held, persistence_of, white_noise_left

@@ -6,10 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from hil.data.filters import FilterSettings
-from hil.estimators.base import RobotEstimator, estimator
-from hil.networks.lagrangian.choices import LAGRANGIAN_CHOICES
-from hil.networks.residual.settings import TRAINING, ResidualSettings
+from hil.data import FilterSettings
+from hil.estimators import RobotEstimator, estimator
+from hil.networks import LAGRANGIAN_CHOICES, TRAINING, ResidualSettings
 from hil.studies.dynamic_methods import METHODS as CLASSICAL
 
 LATENCY_S = 0.02

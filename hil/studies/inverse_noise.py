@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import butter, freqz
 
-from hil.core.typing import FloatArray
-from hil.data.filters import nyquist_fraction, sample_rate
-from hil.data.persistence_error import persistence, persistence_rmse
+from hil.core import FloatArray
+from hil.data import nyquist_fraction, persistence, persistence_rmse, sample_rate
 from hil.studies.inverse_cases import Case
 
 FREQUENCIES = 1 << 14

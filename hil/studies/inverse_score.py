@@ -6,12 +6,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hil.core.typing import BoolArray, FloatArray, IntArray
-from hil.data.dataset import Dataset
-from hil.data.filters import nyquist_fraction, sample_rate, zero_phase
-from hil.data.prediction import Prediction
-from hil.estimators.base import RobotEstimator
-from hil.networks.training_loop.curves import Curves
+from hil.core import BoolArray, FloatArray, IntArray
+from hil.data import Dataset, Prediction, nyquist_fraction, sample_rate, zero_phase
+from hil.estimators import RobotEstimator
+from hil.networks import Curves
 from hil.studies.dynamic_data import MOVING
 from hil.studies.dynamic_methods import SHOWN, percent_where, rmse_where
 from hil.studies.inverse_cases import Case, forgotten

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.studies.inverse_found import Found
 from hil.studies.inverse_methods import LATENCY_S, PREVIOUS_S, ROWS
 from hil.studies.inverse_noise import Held

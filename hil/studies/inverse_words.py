@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from hil.networks.lagrangian.choices import LAGRANGIAN_CHOICES
+from hil.networks import LAGRANGIAN_CHOICES
 from hil.studies.inverse_found import Found
 from hil.studies.inverse_methods import LITERAL, ONE_TO_SIX, ROWS
 from hil.studies.inverse_ranks import FEWEST_SEEDS, apart, beside, doubt

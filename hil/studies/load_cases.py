@@ -7,13 +7,10 @@ from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from pathlib import Path
 
-from hil.arms.payload import Payload
-from hil.core.errors import DataError, FitError
-from hil.data.dataset import Dataset
-from hil.data.filters import FilterSettings, downsample
-from hil.data.splits import SAME_SHARE, Group, group_of, groups
-from hil.estimators.base import RobotEstimator
-from hil.estimators.model_file import load_model_file
+from hil.arms import Payload
+from hil.core import DataError, FitError
+from hil.data import SAME_SHARE, Dataset, FilterSettings, Group, downsample, group_of, groups
+from hil.estimators import RobotEstimator, load_model_file
 from hil.studies.inverse_cases import Recorded, load_names
 from hil.studies.separation_text import listed
 

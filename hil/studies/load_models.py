@@ -12,12 +12,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import FitError
-from hil.data.dataset import Dataset
-from hil.data.splits import Group, assert_disjoint, group_of, groups
+from hil.core import FitError
+from hil.data import Dataset, Group, assert_disjoint, group_of, groups
 from hil.dynamics import RobotModel
-from hil.estimators.base import RobotEstimator, estimator
-from hil.networks.training_loop.attached import keeps_checkpoints
+from hil.estimators import RobotEstimator, estimator
+from hil.networks import keeps_checkpoints
 from hil.studies.inverse_cases import Recorded
 from hil.studies.load_cases import knows, motions_of, unseen
 

@@ -8,15 +8,18 @@ from typing import Literal
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.errors import FitError
-from hil.core.typing import FloatArray
-from hil.data.dataset import Dataset
-from hil.estimators.base import RobotEstimator
-from hil.estimators.payload_declared import Declaration, check_declarations
-from hil.estimators.payload_estimate import PayloadEstimate
-from hil.estimators.payload_fit import estimate_payload
-from hil.estimators.payload_problem import Friction, with_identified
+from hil.arms import Payload
+from hil.core import FitError, FloatArray
+from hil.data import Dataset
+from hil.estimators import (
+    Declaration,
+    Friction,
+    PayloadEstimate,
+    RobotEstimator,
+    check_declarations,
+    estimate_payload,
+    with_identified,
+)
 from hil.studies.dynamic_methods import rmse_where
 from hil.studies.load_cases import LoadCase
 from hil.studies.separation_text import mean_of

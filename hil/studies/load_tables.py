@@ -6,8 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from hil.estimators.payload_estimate import NAMES
-from hil.estimators.payload_fit import true_values
+from hil.estimators import NAMES, true_values
 from hil.studies.load_score import TOLD, Scored, UnderLoads
 from hil.studies.result import Curve, Figure, Panel, Table, Value
 from hil.studies.separation_text import joint_titles, mean_of, value, values, with_mean

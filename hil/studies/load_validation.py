@@ -12,14 +12,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
-from hil.core.errors import HilError, SpecError
-from hil.data.dataset import Dataset, SeriesKind
+from hil.core import HilError, SpecError
+from hil.data import Dataset, SeriesKind
 from hil.dynamics import RobotModel
-from hil.estimators.base import HONEST
-from hil.estimators.checks import Needs
-from hil.estimators.parameters import choice, flag, number, whole
-from hil.estimators.payload_declared import FALSE_ALARM
-from hil.estimators.payload_problem import Friction
+from hil.estimators import FALSE_ALARM, HONEST, Friction, Needs, choice, flag, number, whole
 from hil.studies import load_tables as tables
 from hil.studies.base import Progress, Study, silent
 from hil.studies.dynamic_data import NEEDS, highest_cutoff

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from hil.core.errors import HilError
-from hil.estimators.payload_declared import Declaration
+from hil.core import HilError
+from hil.estimators import Declaration
 from hil.studies.load_score import TOLD, Scored, UnderLoads
 from hil.studies.load_tables import average
 from hil.studies.separation_text import listed, mean_of

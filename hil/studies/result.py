@@ -38,7 +38,7 @@ class Table:
 
     def _repr_html_(self) -> str:
         """Itself in a notebook."""
-        from hil.core.notebook import card, number
+        from hil.core import card, number
 
         def told(value: Value) -> str:
             if isinstance(value, float) and self.decimals is not None:
@@ -154,7 +154,7 @@ class StudyResult:
 
     def _repr_html_(self) -> str:
         """Itself in a notebook: what to take away; its tables show themselves."""
-        from hil.core.notebook import card
+        from hil.core import card
 
         facts = {"study": self.study, "parts": ", ".join(part.title for part in self.parts)}
         return card("Study", self.title, facts, notes=(*self.summary, *self.warnings))

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.core.typing import BoolArray, FloatArray
-from hil.data.metrics import correlation, rmse
+from hil.core import BoolArray, FloatArray
+from hil.data import correlation, rmse
 from hil.studies.result import Table, Value
 from hil.studies.separation_data import pairs
 from hil.studies.separation_honest import HonestRun

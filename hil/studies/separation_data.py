@@ -7,13 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hil.core.typing import FloatArray, IntArray
-from hil.data.dataset import Conditions, Dataset
-from hil.data.dwells import SAMPLES_PER_DWELL, dwells_of, series_means
-from hil.data.splits import group_of
+from hil.core import FloatArray, IntArray
+from hil.data import SAMPLES_PER_DWELL, Conditions, Dataset, dwells_of, group_of, series_means
 from hil.dynamics import RobotModel
-from hil.estimators.checks import STILL_RAD, Needs, require_robot
-from hil.estimators.dwell_rows import scatter
+from hil.estimators import STILL_RAD, Needs, require_robot, scatter
 
 NEEDS = Needs({"poses": 4})
 """Two to fit on and two to judge on; what each model needs it states itself."""

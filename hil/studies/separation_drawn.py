@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.core.errors import HilError
-from hil.core.typing import FloatArray
-from hil.estimators.linear_methods import Weights
-from hil.estimators.static_linear import StaticLinear
+from hil.core import FloatArray, HilError
+from hil.estimators import StaticLinear, Weights
 from hil.studies.result import Figure
 from hil.studies.separation_band import SHORT, Bands, friction_of
 from hil.studies.separation_data import Recording

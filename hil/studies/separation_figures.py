@@ -6,10 +6,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from hil.core.typing import FloatArray, IntArray
-from hil.data.dataset import Dataset
-from hil.data.metrics import correlation
-from hil.estimators.static_linear import StaticLinear
+from hil.core import FloatArray, IntArray
+from hil.data import Dataset, correlation
+from hil.estimators import StaticLinear
 from hil.studies.result import Curve, Figure, Panel, Style
 from hil.studies.separation_text import joint_titles
 

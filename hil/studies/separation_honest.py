@@ -10,11 +10,8 @@ from typing import TypeAlias
 
 import numpy as np
 
-from hil.core.errors import DataError, FitError
-from hil.core.typing import BoolArray, FloatArray, IntArray
-from hil.data.dataset import Dataset
-from hil.data.metrics import correlation, rmse
-from hil.data.splits import Split, kfold, split
+from hil.core import BoolArray, DataError, FitError, FloatArray, IntArray
+from hil.data import Dataset, Split, correlation, kfold, rmse, split
 from hil.studies.separation_data import Recording, bare, dwell_means, dwells_in, mean_noise
 from hil.studies.separation_methods import Method, Outcome, best_of, fit_tasks
 from hil.studies.separation_tasks import Task

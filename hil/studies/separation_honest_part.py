@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.estimators.base import HONEST
+from hil.estimators import HONEST
 from hil.studies.result import Figure, Part, Table
 from hil.studies.separation_band import Bands, band_tables
 from hil.studies.separation_data import pose_key

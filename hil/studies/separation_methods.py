@@ -16,12 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.errors import HilError
-from hil.core.typing import FloatArray
-from hil.data.dataset import Dataset
+from hil.core import FloatArray, HilError
+from hil.data import Dataset
 from hil.dynamics import RobotModel
-from hil.estimators.base import estimator
-from hil.networks.lm.scaling import ConstantInputWarning
+from hil.estimators import estimator
+from hil.networks import ConstantInputWarning
 from hil.studies.separation_data import dwell_means
 from hil.studies.separation_tasks import Task
 

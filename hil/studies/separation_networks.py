@@ -10,10 +10,8 @@ from functools import partial
 
 import numpy as np
 
-from hil.core.typing import FloatArray, IntArray
-from hil.networks.lm.network import Mlp
-from hil.networks.lm.scaling import ConstantInputWarning
-from hil.networks.lm.train import train
+from hil.core import FloatArray, IntArray
+from hil.networks import ConstantInputWarning, Mlp, train
 from hil.studies.separation_tasks import Task
 
 S_PER_PRODUCT = 3e-11

@@ -11,10 +11,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hil.core.errors import DataError, FitError
-from hil.core.typing import FloatArray
-from hil.estimators.linear_methods import Method, Weights
-from hil.estimators.static_linear import StaticLinear
+from hil.core import DataError, FitError, FloatArray
+from hil.estimators import Method, StaticLinear, Weights
 from hil.studies.separation_data import Recording, dwell_means, one_per_pose
 from hil.studies.separation_networks import (
     NetworkResult,

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.estimators.linear_methods import Method
-from hil.estimators.static_model import PAPER_PROTOCOL
+from hil.estimators import PAPER_PROTOCOL, Method
 from hil.studies.result import Figure, Part
 from hil.studies.separation_data import sample_noise
 from hil.studies.separation_paper_run import PaperRun

@@ -7,11 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.core.typing import FloatArray, IntArray
-from hil.data.dataset import Dataset
-from hil.data.metrics import rmse
-from hil.estimators.linear_methods import Method
-from hil.estimators.static_linear import StaticLinear
+from hil.core import FloatArray, IntArray
+from hil.data import Dataset, rmse
+from hil.estimators import Method, StaticLinear
 from hil.studies.separation_data import sample_noise
 from hil.studies.separation_networks import Networks
 from hil.studies.separation_split import Partition

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.estimators.linear_methods import Method
+from hil.estimators import Method
 from hil.studies.result import Table, Value
 from hil.studies.separation_paper import METHODS
 from hil.studies.separation_paper_run import Layout, PaperRun

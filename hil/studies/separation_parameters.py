@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from hil.core.errors import SpecError
-from hil.estimators.parameters import choice, number, whole
-from hil.networks.lm.network import Mlp
+from hil.core import SpecError
+from hil.estimators import choice, number, whole
+from hil.networks import Mlp
 
 INPUTS = 4
 

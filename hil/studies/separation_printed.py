@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hil.estimators.linear_methods import Method
+from hil.estimators import Method
 
 WORDS: dict[Method, str] = {
     "ls": "least squares",

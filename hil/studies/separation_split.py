@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hil.core.typing import IntArray
-from hil.data.dataset import Dataset
-from hil.data.splits import paper_sample_split, split
+from hil.core import IntArray
+from hil.data import Dataset, paper_sample_split, split
 from hil.studies.separation_data import rows_in
 
 SHARES = (0.75, 0.20, 0.05)

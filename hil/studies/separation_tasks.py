@@ -10,9 +10,7 @@ from functools import partial
 from itertools import islice
 from typing import Any
 
-from hil.core.errors import FitError
-from hil.core.executor import chosen, one_thread, processes
-from hil.core.spreading import spread
+from hil.core import FitError, chosen, one_thread, processes, spread
 from hil.studies.base import Ended, Progress, tell_ended
 
 

@@ -9,13 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, NamedTuple, TypeAlias
 
-from hil.core.errors import FitError
-from hil.core.executor import cores
-from hil.data.dataset import Dataset, SeriesKind
+from hil.core import FitError, cores
+from hil.data import Dataset, SeriesKind
 from hil.dynamics import RobotModel
-from hil.estimators.checks import Needs
-from hil.estimators.linear_methods import Weights
-from hil.estimators.parameters import choice, flag, number, whole
+from hil.estimators import Needs, Weights, choice, flag, number, whole
 from hil.studies.base import Progress, Study, silent
 from hil.studies.result import Part, StudyResult
 from hil.studies.separation_band import bands

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import DataError, FitError
+from hil.core import DataError, FitError
 from hil.studies.result import StudyResult
 from hil.studies.soundness import faults_of
 
@@ -26,7 +26,7 @@ DIGEST_LENGTH = 12
 def folder_of(name: str, parameters: Mapping[str, Any]) -> str:
     """`<name>-<digest>` of a study with all its parameters, defaults included."""
     # Not at the top: reading a result must not load the estimators.
-    from hil.estimators.model_file import json_bytes
+    from hil.estimators import json_bytes
 
     text = json_bytes({"study": name, "parameters": dict(sorted(parameters.items()))})
     return f"{name}-{hashlib.sha256(text).hexdigest()[:DIGEST_LENGTH]}"
@@ -85,7 +85,7 @@ def problem_files(run: Path) -> Sequence[Path]:
 
 
 def _write(path: Path, document: Mapping[str, Any]) -> Path:
-    from hil.estimators.model_file import json_bytes, write_whole
+    from hil.estimators import json_bytes, write_whole
 
     path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, json_bytes(document))

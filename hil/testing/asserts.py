@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from hil.core.errors import HilError
+from hil.core import HilError
 from hil.robot import Robot
 
 STOP_S = 0.1

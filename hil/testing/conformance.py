@@ -11,7 +11,7 @@ import functools
 from collections.abc import Callable, Iterator, Sequence
 from typing import Protocol
 
-from hil.core.errors import HilError
+from hil.core import HilError
 from hil.robot import Robot
 from hil.testing.bench import Bench
 from hil.testing.moves import settle

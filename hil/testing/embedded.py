@@ -6,8 +6,7 @@ import contextlib
 from collections.abc import Iterator, Sequence
 from typing import Any, Protocol
 
-from hil.core import plugins
-from hil.core.typing import FloatArray
+from hil.core import FloatArray, plugins
 from hil.robot import Robot
 from hil.testing.starting import require_extras
 

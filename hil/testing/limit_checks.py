@@ -6,8 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from hil.core.errors import HilError, RobotError
-from hil.core.typing import FloatArray
+from hil.core import FloatArray, HilError, RobotError
 from hil.robot import Robot, Segment, Status
 from hil.testing.asserts import raises
 from hil.testing.moves import AT_SET_POINT_RAD, line, room, rows_for, standing_at

@@ -11,8 +11,7 @@ import sys
 import threading
 from collections.abc import Sequence
 
-from hil.core import plugins
-from hil.core.errors import HilError
+from hil.core import HilError, plugins
 
 STANDARD_INPUT = 0
 

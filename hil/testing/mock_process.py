@@ -13,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import CommandRefused, RobotConnectionError, RobotTimeout
+from hil.core import CommandRefused, RobotConnectionError, RobotTimeout
 
 ANSWER_WITHIN_S = 60.0
 ENDED_WITHIN_S = 20.0

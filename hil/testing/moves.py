@@ -9,8 +9,8 @@ from typing import Literal
 
 import numpy as np
 
-from hil.core.typing import FloatArray, StructArray
-from hil.excitation.motion import Hold, Line, Motion
+from hil.core import FloatArray, StructArray
+from hil.excitation import Hold, Line, Motion
 from hil.robot import Robot, Segment, Status
 
 SPEED_RAD_S = 0.3

@@ -98,7 +98,7 @@ def _marked(request: pytest.FixtureRequest, name: str, make: Callable[..., T]) -
 @contextmanager
 def _factory(start: Callable[..., AbstractContextManager[T]]) -> Iterator[Callable[..., T]]:
     """Start as many as are asked for, end all; what cannot be is one message, no traceback."""
-    from hil.core.errors import HilError
+    from hil.core import HilError
 
     with ExitStack() as running:
 

@@ -9,8 +9,8 @@ from typing import TypeAlias
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.errors import RobotConnectionError, RobotError, RobotTimeout
+from hil.arms import Payload
+from hil.core import RobotConnectionError, RobotError, RobotTimeout
 from hil.robot import HasResource, Robot, Status
 from hil.testing.asserts import raises, stop_in_time
 from hil.testing.bench import Bench

@@ -13,8 +13,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from hil.core import plugins
-from hil.core.errors import PluginError
+from hil.core import PluginError, plugins
 
 READY_WITHIN_S = 60.0
 _LAST_WORDS_S = 5.0

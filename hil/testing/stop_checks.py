@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from hil.core.errors import HilError, RobotError, RobotFault
+from hil.core import HilError, RobotError, RobotFault
 from hil.robot import Robot, Status
 from hil.testing.asserts import STOP_S, raises, stop_in_time
 from hil.testing.bench import Bench

@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 
-from hil.core.typing import FloatArray, StructArray
+from hil.core import FloatArray, StructArray
 from hil.robot import Robot, state_dtype
 from hil.testing.moves import LONG_WAY_RAD, follow, move
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import PluginError
+from hil.core import PluginError
 from hil.testing.mock_process import MockProcess
 from hil.testing.starting import own_folder, require_extras, running
 

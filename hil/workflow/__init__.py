@@ -1,1 +1,5 @@
 """From a spec to a judged model: run → fit → evaluate → report."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict
 
-from hil.core.errors import HilError, Stopped
-from hil.engine import Observers, Outcome
-from hil.engine.signals import SignalWatch, StopSignal
-from hil.planning.experiment import Experiment
-from hil.spec.experiment import StudyEntry
-from hil.studies.base import Ended
+from hil.core import HilError, Stopped
+from hil.engine import Observers, Outcome, SignalWatch, StopSignal
+from hil.planning import Experiment
+from hil.spec import StudyEntry
+from hil.studies import Ended
 from hil.workflow.attempt import Recorded
 from hil.workflow.judging import judge_run, missing_models
 from hil.workflow.studies import missing_studies, run_studies

@@ -15,10 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import SpecError
-from hil.core.source import Source, refuse, shown
-from hil.core.suggest import did_you_mean
-from hil.core.yaml_source import read_source
+from hil.core import Source, SpecError, did_you_mean, read_source, refuse, shown
 from hil.engine import Reply
 
 KEYS = ("prompt", "answer", "who")

@@ -5,18 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from hil.arms import ArmDescription, is_described, load_arm
-from hil.core.errors import SpecError
-from hil.core.source import Mark, Problem, Source, refuse
-from hil.core.yaml_source import read_source
-from hil.excitation.waypoint_file import WaypointFile, read_waypoints
-from hil.excitation.workspace import beyond_range, outside, ways_out
-from hil.planning.experiment import Experiment
-from hil.planning.interlocks import declared_space
-from hil.planning.limits import excesses
+from hil.core import Mark, Problem, Source, SpecError, read_source, refuse
+from hil.excitation import WaypointFile, beyond_range, outside, read_waypoints, ways_out
+from hil.planning import Experiment, declared_space, excesses
 from hil.robot import Capabilities
-from hil.spec.experiment import Dwell
-from hil.spec.judgeable import Excess, misjudged
-from hil.spec.overrides import lay_over
+from hil.spec import Dwell, Excess, lay_over, misjudged
 from hil.workflow.needs import unmet
 
 POSES = ("excitation", "file")

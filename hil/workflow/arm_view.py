@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
-from hil.core.typing import StructArray
-from hil.engine.interlocks import HasMargin, Interlock
+from hil.core import StructArray
+from hil.engine import HasMargin, Interlock
 from hil.robot import Capabilities, Status
 
 FIELDS = {

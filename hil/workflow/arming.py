@@ -18,14 +18,20 @@ from pathlib import Path
 from typing import Any
 
 from hil.arms import model_sha256
-from hil.core.errors import DataError, HilError, NotConfirmed, SpecError
-from hil.core.files import json_document, read_json, write_replacing
-from hil.planning.experiment import Experiment
-from hil.planning.robots import opened
-from hil.recording.provenance import operator as this_user
-from hil.recording.provenance import utc_now
+from hil.core import (
+    DataError,
+    HilError,
+    NotConfirmed,
+    SpecError,
+    json_document,
+    read_json,
+    write_replacing,
+)
+from hil.planning import Experiment, opened
+from hil.recording import operator as this_user
+from hil.recording import utc_now
 from hil.robot import UNKNOWN, address_of
-from hil.spec.hashing import spec_hash
+from hil.spec import spec_hash
 from hil.workflow.confirmation import (
     ANSWER_WITHIN_S,
     LOOK_EVERY_S,

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from hil.core.errors import HilError, RecordingError, exit_code_of
+from hil.core import HilError, RecordingError, exit_code_of
 from hil.engine import Observers, Outcome, RunResult
-from hil.importers.completeness import Completeness, completeness_of
-from hil.planning.experiment import Experiment
-from hil.planning.plan import Plan
-from hil.recording.recorder import Recorder
-from hil.recording.rundir import RunDirectory
-from hil.robot.topic import STATE_TOPIC
+from hil.importers import Completeness, completeness_of
+from hil.planning import Experiment, Plan
+from hil.recording import Recorder, RunDirectory
+from hil.robot import STATE_TOPIC
 from hil.workflow.sink import COUNTED, RunSink, counts_of, recorded_span
 from hil.workflow.weighed_before import Readings
 

@@ -8,17 +8,17 @@ from pathlib import Path
 from typing import Any
 
 from hil.arms import model_sha256
-from hil.planning.experiment import Experiment
-from hil.planning.plan import Plan
-from hil.recording.parts import name_of_attempt
-from hil.recording.provenance import collect_provenance
-from hil.recording.recorder import Recorder
-from hil.recording.rundir import RunDirectory
-from hil.recording.writer import Attachment, McapWriter
-from hil.robot import HasTopics, Robot
-from hil.robot.topic import state_topic
-from hil.spec.load import spec_hash
-from hil.spec.station import StationRobot
+from hil.planning import Experiment, Plan
+from hil.recording import (
+    Attachment,
+    McapWriter,
+    Recorder,
+    RunDirectory,
+    collect_provenance,
+    name_of_attempt,
+)
+from hil.robot import HasTopics, Robot, state_topic
+from hil.spec import StationRobot, spec_hash
 from hil.workflow.confirmation import loads_document
 
 

@@ -20,13 +20,10 @@ from typing import Any, Protocol
 import numpy as np
 
 from hil.arms import load_arm
-from hil.core.errors import DataError, NotConfirmed
-from hil.core.files import read_json
-from hil.planning.experiment import Experiment
-from hil.planning.plan import LoadStep, Plan
-from hil.planning.swept_space import Swept, aligned, swept
-from hil.recording.provenance import operator as this_user
-from hil.recording.provenance import utc_now
+from hil.core import DataError, NotConfirmed, read_json
+from hil.planning import Experiment, LoadStep, Plan, Swept, aligned, swept
+from hil.recording import operator as this_user
+from hil.recording import utc_now
 from hil.robot import Address, HasTopics, Robot, address_of
 from hil.workflow.console import Console
 

@@ -10,9 +10,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol, runtime_checkable
 
-from hil.core.errors import HilError
-from hil.core.holder import plain
-from hil.core.live_lock import run_holder
+from hil.core import HilError, plain, run_holder
 from hil.workflow.control_files import FOLDER, ControlRequest, take, waiting
 
 EVERY_S = 0.05

@@ -16,10 +16,7 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from hil.core.errors import DataError, RecordingError
-from hil.core.files import fsync_directory, json_document
-from hil.core.holder import plain
-from hil.core.live_lock import hold_run
+from hil.core import DataError, RecordingError, fsync_directory, hold_run, json_document, plain
 from hil.workflow.live_state import forget_live
 
 FOLDER = ".control"

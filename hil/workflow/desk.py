@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from hil.core.errors import SpecError
-from hil.engine import Prompt
-from hil.engine.pausing import GoOn
+from hil.core import SpecError
+from hil.engine import GoOn, Prompt
 from hil.workflow.answers import load_answers
 from hil.workflow.confirmation import Confirm, TypedName, Unconfirmed
 from hil.workflow.console import Console

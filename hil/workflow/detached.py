@@ -9,8 +9,8 @@ import subprocess
 from collections.abc import Sequence
 from pathlib import Path
 
-from hil.core.errors import RecordingError
-from hil.recording.provenance import STARTED_ID
+from hil.core import RecordingError
+from hil.recording import STARTED_ID
 
 LAST_LINES = 10
 LAST_BYTES = 16 * 1024

@@ -7,19 +7,31 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hil.core.errors import SpecError
-from hil.excitation.appraisal import Appraisal, Limits, appraise
-from hil.excitation.cache import user_cache
-from hil.excitation.motion import FourierSeries
-from hil.excitation.roadmap import Roadmap
-from hil.excitation.setting import Advance, Setting, Watch, unwatched
-from hil.planning.excitation_report import ExcitationReport
-from hil.planning.exciting import program_of, setting_of
-from hil.planning.experiment import Experiment
-from hil.planning.limits import excesses
-from hil.planning.place import plannable_arm, roadmap_of, workspace_of
-from hil.planning.robots import opened
-from hil.spec.experiment import ExperimentSpec, Fourier
+from hil.core import SpecError
+from hil.excitation import (
+    Advance,
+    Appraisal,
+    FourierSeries,
+    Limits,
+    Roadmap,
+    Setting,
+    Watch,
+    appraise,
+    unwatched,
+    user_cache,
+)
+from hil.planning import (
+    ExcitationReport,
+    Experiment,
+    excesses,
+    opened,
+    plannable_arm,
+    program_of,
+    roadmap_of,
+    setting_of,
+    workspace_of,
+)
+from hil.spec import ExperimentSpec, Fourier
 
 
 def appraise_excitation(

@@ -8,17 +8,20 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from hil.arms import load_arm
-from hil.core.errors import HilError
-from hil.engine import Engine, Observers, Prompt
-from hil.engine.pausing import GoOn, nobody_goes_on
-from hil.engine.preflight import preflight_context, require_preflight
-from hil.engine.signals import SignalWatch
-from hil.excitation.setting import Advance
-from hil.planning.plan import Plan
-from hil.planning.robots import close_robot
-from hil.planning.swept_space import swept
-from hil.recording.parts import name_of_attempt
-from hil.recording.recorder import Recorder
+from hil.core import HilError
+from hil.engine import (
+    Engine,
+    GoOn,
+    Observers,
+    Prompt,
+    SignalWatch,
+    nobody_goes_on,
+    preflight_context,
+    require_preflight,
+)
+from hil.excitation import Advance
+from hil.planning import Plan, close_robot, swept
+from hil.recording import Recorder, name_of_attempt
 from hil.robot import Robot
 from hil.workflow.arm_view import ArmView
 from hil.workflow.attempt import Attempt, Recorded, finish

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from hil.core.extras import Named, missing, require_installed
-from hil.estimators.base import estimator
-from hil.spec.experiment import ExperimentSpec
-from hil.studies.base import study
+from hil.core import Named, missing, require_installed
+from hil.estimators import estimator
+from hil.spec import ExperimentSpec
+from hil.studies import study
 
 
 def require_extras(spec: ExperimentSpec) -> None:

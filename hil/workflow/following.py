@@ -8,11 +8,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import DataError, Rejected
-from hil.core.live_lock import is_live
-from hil.evaluation.run_verdict import verdict_word
-from hil.recording.rundir import RunDirectory
-from hil.runs.listing import run_listings
+from hil.core import DataError, Rejected, is_live
+from hil.evaluation import verdict_word
+from hil.recording import RunDirectory
+from hil.runs import run_listings
 from hil.workflow.live_state import read_live
 
 LOOK_EVERY_S = 0.2

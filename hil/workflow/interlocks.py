@@ -7,11 +7,8 @@ from functools import partial
 from pathlib import Path
 
 from hil.arms import is_described, load_arm
-from hil.engine.interlocks import InterlockContext, Interlocks, interlocks_from_spec
-from hil.planning.experiment import Experiment
-from hil.planning.interlocks import flange_space
-from hil.planning.plan import Plan
-from hil.planning.surroundings import collision_model
+from hil.engine import InterlockContext, Interlocks, interlocks_from_spec
+from hil.planning import Experiment, Plan, collision_model, flange_space
 from hil.robot import HasSpeedScaling, Robot
 
 
@@ -36,7 +33,7 @@ def interlocks_for(
         PlanError: An interlock of the spec cannot be judged on this robot; all are listed.
         PluginError: A plug-in does not load.
     """
-    from hil.dynamics.sample_distances import SampleDistances
+    from hil.dynamics import SampleDistances
 
     can, surroundings = robot.capabilities, experiment.robot.surroundings
     sizes = [load.size_m for load in plan.loads]

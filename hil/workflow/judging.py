@@ -6,19 +6,25 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import DataError, FitError, HilError
-from hil.core.files import read_json
-from hil.data.dataset import Dataset
+from hil.core import DataError, FitError, HilError, read_json
+from hil.data import Dataset
 from hil.dynamics import load_model
-from hil.estimators.base import HONEST, estimator
-from hil.evaluation.fitting import Fitted, fit_dataset, usable_part
-from hil.evaluation.holdout import hold_out
-from hil.evaluation.model_judgement import Judged, judged_model
-from hil.evaluation.run_verdict import FailedFit, recording_rows, verdict_document
-from hil.evaluation.validation import EVALUATION_FILE
-from hil.importers.load import load_source
-from hil.recording.rundir import RunDirectory
-from hil.spec.experiment import ExperimentSpec, Fit
+from hil.estimators import HONEST, estimator
+from hil.evaluation import (
+    EVALUATION_FILE,
+    FailedFit,
+    Fitted,
+    Judged,
+    fit_dataset,
+    hold_out,
+    judged_model,
+    recording_rows,
+    usable_part,
+    verdict_document,
+)
+from hil.importers import load_source
+from hil.recording import RunDirectory
+from hil.spec import ExperimentSpec, Fit
 from hil.workflow.trainings import FitNews, Tell, fit_or_go_on, forget, nobody
 from hil.workflow.under_loads import Row, judge_under_loads
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hil.arms.payload import Payload
-from hil.core.errors import HilError
+from hil.arms import Payload
+from hil.core import HilError
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,15 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from hil.core.errors import PluginError, SpecError
-from hil.core.live_lock import hold_run
-from hil.core.suggest import did_you_mean
-from hil.engine.signals import SignalWatch
-from hil.planning.experiment import BUILT_IN, find_station
-from hil.planning.robots import close_robot, open_robot
-from hil.recording.rundir import RunDirectory
+from hil.core import PluginError, SpecError, did_you_mean, hold_run
+from hil.engine import SignalWatch
+from hil.planning import BUILT_IN, close_robot, find_station, open_robot
+from hil.recording import RunDirectory
 from hil.robot import Listens, Robot
-from hil.spec.station import Station, StationRobot
+from hil.spec import Station, StationRobot
 from hil.workflow.listened import Listened, Wanted
 from hil.workflow.listening_files import write_start
 from hil.workflow.listening_run import ListeningRun

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from hil.arms.payload import Payload
-from hil.recording.provenance import collect_provenance
-from hil.recording.recorder import Recorder
-from hil.recording.rundir import RunDirectory
-from hil.recording.writer import Attachment, McapWriter
-from hil.robot import HasTopics, Robot
-from hil.robot.topic import state_topic
-from hil.spec.station import StationRobot
+from hil.arms import Payload
+from hil.recording import Attachment, McapWriter, Recorder, RunDirectory, collect_provenance
+from hil.robot import HasTopics, Robot, state_topic
+from hil.spec import StationRobot
 from hil.workflow.beginning import describe_robot
 from hil.workflow.listened import Wanted
 

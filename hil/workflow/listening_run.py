@@ -9,16 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.errors import HilError, RobotTimeout, exit_code_of
-from hil.core.typing import StructArray
-from hil.data.stays import FOUND_FILE, FoundSteps, StayFinder
-from hil.engine.signals import SignalWatch
-from hil.importers.described import found_plan
-from hil.recording.recorder import Recorder
-from hil.recording.rundir import RunDirectory
-from hil.robot import HasTopics, Listens, Robot
-from hil.robot.topic import STATE_TOPIC
+from hil.arms import Payload
+from hil.core import HilError, RobotTimeout, StructArray, exit_code_of
+from hil.data import FOUND_FILE, FoundSteps, StayFinder
+from hil.engine import SignalWatch
+from hil.importers import found_plan
+from hil.recording import Recorder, RunDirectory
+from hil.robot import STATE_TOPIC, HasTopics, Listens, Robot
 from hil.workflow.listened import Listened, Wanted
 from hil.workflow.listening_files import open_recorder
 from hil.workflow.listening_notes import NOT_USABLE, fit_notes, unusable_notes

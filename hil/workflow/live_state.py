@@ -16,12 +16,17 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import DataError, RecordingError
-from hil.core.files import json_line, read_json, write_replacing
-from hil.core.live_lock import run_holder
-from hil.core.typing import StructArray
-from hil.engine.live.standing import ENDING, Standing
-from hil.recording.provenance import utc_now
+from hil.core import (
+    DataError,
+    RecordingError,
+    StructArray,
+    json_line,
+    read_json,
+    run_holder,
+    write_replacing,
+)
+from hil.engine import ENDING, Standing
+from hil.recording import utc_now
 from hil.workflow.arm_view import FIELDS, ArmView
 
 LIVE_FILE = ".live.json"

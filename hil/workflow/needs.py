@@ -9,16 +9,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-from hil.core.errors import HilError
-from hil.core.source import Path
+from hil.core import HilError, Path
 from hil.dynamics import RobotModel, load_model
-from hil.estimators.base import HONEST, estimator, needs_of
-from hil.estimators.checks import Needs, gains_fault
+from hil.estimators import HONEST, Needs, estimator, gains_fault, needs_of
 from hil.robot import Capabilities
-from hil.spec.experiment import ExperimentSpec, Fourier
-from hil.spec.judgeable import Excess
-from hil.spec.station import StationRobot
-from hil.studies.base import study
+from hil.spec import Excess, ExperimentSpec, Fourier, StationRobot
+from hil.studies import study
 
 MOST_LENGTHENED = 10_000
 """Largest number of poses or trajectories that the search for a sufficient program tries."""

@@ -7,10 +7,9 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from hil.core.errors import PreflightFailed
-from hil.engine import Prompt, Reply
-from hil.engine.prompt import NOBODY
-from hil.planning.plan import Plan
+from hil.core import PreflightFailed
+from hil.engine import NOBODY, Prompt, Reply
+from hil.planning import Plan
 from hil.robot import Robot
 from hil.workflow.answers import ScriptedOperator
 from hil.workflow.console import Console

@@ -6,12 +6,17 @@ import contextlib
 from collections.abc import Iterator
 from pathlib import Path
 
-from hil.excitation.setting import Watch, unwatched
-from hil.planning.build import build_plan
-from hil.planning.experiment import Experiment
-from hil.planning.plan import Plan
-from hil.planning.plan_preview import PlanPreview, preview
-from hil.planning.robots import leased_and_connected, opened, plan_for
+from hil.excitation import Watch, unwatched
+from hil.planning import (
+    Experiment,
+    Plan,
+    PlanPreview,
+    build_plan,
+    leased_and_connected,
+    opened,
+    plan_for,
+    preview,
+)
 from hil.robot import Robot
 from hil.workflow.arm_check import require_within_reach
 from hil.workflow.extras import missing_extras

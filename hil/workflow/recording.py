@@ -6,12 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from hil.core import plugins
-from hil.engine.preflight import require_room_to_begin
-from hil.planning.experiment import Experiment
-from hil.planning.robots import held, plan_for
-from hil.recording.rundir import RunDirectory
+from hil.engine import require_room_to_begin
+from hil.planning import Experiment, held, plan_for
+from hil.recording import RunDirectory
 from hil.robot import Robot
-from hil.spec.judgeable import require_judgeable
+from hil.spec import require_judgeable
 from hil.workflow.arm_check import require_within_reach
 from hil.workflow.attempt import Attempt, Recorded
 from hil.workflow.beginning import write_beginning

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.core.typing import FloatArray
-from hil.excitation.motion import STANDSTILL_RAD, Line
-from hil.planning.plan import Plan, Step
+from hil.core import FloatArray
+from hil.excitation import STANDSTILL_RAD, Line
+from hil.planning import Plan, Step
 
 FIRST_APPROACH = -2
 """Index of the first motion back to the plan; the next ones count down. −1 is `no step`."""

@@ -14,24 +14,20 @@ from typing import Any
 
 import numpy as np
 
-from hil.core import plugins
-from hil.core.errors import DataError, HilError, PluginError
-from hil.core.files import sha256_of
-from hil.core.live_lock import hold_run
-from hil.core.typing import StructArray
-from hil.importers.completeness import Completeness, completeness_of
-from hil.importers.load import require_arm_as_recorded
-from hil.planning.plan import Plan
-from hil.planning.plan_file import read_plan
-from hil.recording.continuity import Counts
-from hil.recording.provenance import collect_provenance
-from hil.recording.recorder import Recorder
-from hil.recording.rundir import Outcome, RunDirectory
-from hil.recording.writer import Attachment, McapWriter
-from hil.robot.logs import ReadsLogs, RecordedLog
-from hil.robot.topic import STATE_TOPIC, state_topic
-from hil.spec.load import load_station
-from hil.spec.station import StationRobot
+from hil.core import DataError, HilError, PluginError, StructArray, hold_run, plugins, sha256_of
+from hil.importers import Completeness, completeness_of, require_arm_as_recorded
+from hil.planning import Plan, read_plan
+from hil.recording import (
+    Attachment,
+    Counts,
+    McapWriter,
+    Outcome,
+    Recorder,
+    RunDirectory,
+    collect_provenance,
+)
+from hil.robot import STATE_TOPIC, ReadsLogs, RecordedLog, state_topic
+from hil.spec import StationRobot, load_station
 from hil.workflow.sink import counts_of, recorded_span
 
 COPIED_FILES = ("spec.yaml", "station.yaml", "plan.json")

@@ -15,22 +15,21 @@ from typing import Any
 import numpy as np
 
 from hil.arms import require_same_arm
-from hil.core.errors import DataError, PreflightFailed
-from hil.core.files import read_json
+from hil.core import DataError, PreflightFailed, read_json
 from hil.engine import Outcome, RunResult
-from hil.importers.completeness import Completeness, completeness_of, rows_of
-from hil.planning.approach import Approach
-from hil.planning.experiment import Experiment, load_experiment
-from hil.planning.plan import Plan
-from hil.planning.plan_file import read_plan
-from hil.planning.robots import held, standing_at
-from hil.recording.continuity import Counts
-from hil.recording.parts import attempt_of, name_of_attempt
-from hil.recording.provenance import started_as, utc_now
-from hil.recording.reader import read_topic
-from hil.recording.rundir import RunDirectory
+from hil.importers import Completeness, completeness_of, rows_of
+from hil.planning import Approach, Experiment, Plan, held, load_experiment, read_plan, standing_at
+from hil.recording import (
+    Counts,
+    RunDirectory,
+    attempt_of,
+    name_of_attempt,
+    read_topic,
+    started_as,
+    utc_now,
+)
 from hil.robot import Robot, Status
-from hil.spec.load import spec_hash
+from hil.spec import spec_hash
 from hil.workflow.attempt import NOTHING, Attempt, Before, Recorded
 from hil.workflow.beginning import describe_robot
 from hil.workflow.confirmation import Gate, Granted, MotionFacts, shown_by

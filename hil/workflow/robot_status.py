@@ -7,13 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import HilError
-from hil.core.holder import Holder, plain
-from hil.core.live_lock import is_live
-from hil.planning.experiment import find_station
-from hil.planning.robots import opened
-from hil.robot.lease import held_leases, lease_holder, resource_of
-from hil.spec.station import StationRobot
+from hil.core import HilError, Holder, is_live, plain
+from hil.planning import find_station, opened
+from hil.robot import held_leases, lease_holder, resource_of
+from hil.spec import StationRobot
 from hil.workflow.live_state import read_live
 
 

@@ -8,14 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hil.core.errors import HilError
-from hil.engine import Observer, Observers
-from hil.engine.pausing import nobody_goes_on
-from hil.engine.signals import SignalWatch, StopSignal
-from hil.estimators.model_folder import models_below
-from hil.evaluation.run_verdict import VerdictWord, verdict_word
-from hil.planning.experiment import Experiment
-from hil.recording.rundir import RunDirectory
+from hil.core import HilError
+from hil.engine import Observer, Observers, SignalWatch, StopSignal, nobody_goes_on
+from hil.estimators import models_below
+from hil.evaluation import VerdictWord, verdict_word
+from hil.planning import Experiment
+from hil.recording import RunDirectory
 from hil.workflow.desk import Desk, console_desk
 
 if TYPE_CHECKING:
@@ -55,7 +53,7 @@ class RunReport:
 
     def _repr_html_(self) -> str:
         """Itself in a notebook."""
-        from hil.core.notebook import Tone, card
+        from hil.core import Tone, card
 
         tones: dict[str, Tone] = {"passed": "pass", "rejected": "fail"}
         facts = {
@@ -165,7 +163,7 @@ def _attended(
     desk: Desk | None,
 ) -> RunReport:
     """Motion, fit, verdict and report, with signals and observers looked after."""
-    from hil.engine.preflight import require_waivable
+    from hil.engine import require_waivable
     from hil.workflow.execute import Attendance
 
     require_waivable(waivers)

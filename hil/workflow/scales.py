@@ -8,15 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.errors import DataError
-from hil.core.typing import FloatArray, StructArray
-from hil.planning.plan import Step
+from hil.arms import Payload
+from hil.core import DataError, FloatArray, StructArray
+from hil.planning import Step
 from hil.robot import Capabilities, Status
 
 if TYPE_CHECKING:
-    from hil.dynamics import RobotModel
-    from hil.dynamics.weighing import Weighed
+    from hil.dynamics import RobotModel, Weighed
 
 FRICTION_LEFT = 0.05
 """Share of half the difference between the two approaches by which their mean errs (standard
@@ -144,7 +142,7 @@ def compare(
         loads: The first load and the one to be weighed, as declared.
         readings: Of these.
     """
-    from hil.dynamics.weighing import Balance, static_columns, static_parameters
+    from hil.dynamics import Balance, static_columns, static_parameters
 
     first, load = loads
     at = {step.pose: step.motion.q_end for step in steps if step.motion is not None}

@@ -7,11 +7,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from hil.core import errors
-from hil.core.errors import DataError, HilError, Rejected, SpecError, Stopped, exit_code_of
-from hil.planning.experiment import Experiment, load_experiment
-from hil.runs.series_folder import SeriesFolder
-from hil.spec.series import SeriesSpec, load_series_spec
+from hil.core import DataError, HilError, Rejected, SpecError, Stopped, errors, exit_code_of
+from hil.planning import Experiment, load_experiment
+from hil.runs import SeriesFolder
+from hil.spec import SeriesSpec, load_series_spec
 
 Document = dict[str, Any]
 

@@ -5,12 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from hil.core.errors import HilError
-from hil.core.typing import StructArray
-from hil.recording.continuity import Counts
-from hil.recording.recorder import Recorder
-from hil.recording.rundir import RunDirectory
-from hil.robot.topic import STATE_TOPIC
+from hil.core import HilError, StructArray
+from hil.recording import Counts, Recorder, RunDirectory
+from hil.robot import STATE_TOPIC
 
 COUNTED = ("samples", "gaps", "missing", "duplicates", "overruns")
 

@@ -15,10 +15,8 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import DataError, HilError
-from hil.core.files import read_json
-from hil.core.live_lock import run_holder
-from hil.runs.run_folders import known_runs
+from hil.core import DataError, HilError, read_json, run_holder
+from hil.runs import known_runs
 from hil.workflow.detached import is_ours, last_lines, ticks_of
 from hil.workflow.live_state import read_live
 from hil.workflow.steering import stop_run

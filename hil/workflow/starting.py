@@ -15,15 +15,11 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import DataError, RecordingError, SpecError
-from hil.core.files import json_document, write_replacing
-from hil.core.live_lock import is_live
-from hil.planning.commissioning import Commissioning, commissioning_of
-from hil.planning.experiment import Experiment, load_experiment
-from hil.recording.provenance import operator as this_user
-from hil.recording.rundir import RunDirectory
-from hil.spec.schedule import is_schedule
-from hil.spec.series import is_series
+from hil.core import DataError, RecordingError, SpecError, is_live, json_document, write_replacing
+from hil.planning import Commissioning, Experiment, commissioning_of, load_experiment
+from hil.recording import RunDirectory
+from hil.recording import operator as this_user
+from hil.spec import is_schedule, is_series
 from hil.workflow.detached import begin, ticks_of
 from hil.workflow.driver_check import check_driver
 from hil.workflow.extras import require_extras

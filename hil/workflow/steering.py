@@ -8,10 +8,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import DataError, RobotTimeout
-from hil.core.holder import plain
-from hil.core.live_lock import is_live, run_holder
-from hil.recording.rundir import RunDirectory
+from hil.core import DataError, RobotTimeout, is_live, plain, run_holder
+from hil.recording import RunDirectory
 from hil.workflow.control_files import ControlRequest, What, drop
 from hil.workflow.live_state import read_live, standing_in
 

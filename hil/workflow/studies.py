@@ -8,31 +8,29 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hil.core import plugins
-from hil.core.errors import DataError, FitError, HilError, SpecError
-from hil.core.executor import cores
-from hil.core.live_lock import is_live
-from hil.core.throttle import Throttle
+from hil.core import DataError, FitError, HilError, SpecError, Throttle, cores, is_live, plugins
 from hil.dynamics import RobotModel, load_model
-from hil.estimators.model_file import plain
-from hil.importers.load import load_source
-from hil.recording.rundir import RunDirectory
-from hil.spec.experiment import ExperimentSpec, StudyEntry
-from hil.spec.load import load_spec
-from hil.studies.base import GROUP, Ended, Study, study
-from hil.studies.result import StudyResult
-from hil.studies.store import (
+from hil.estimators import plain
+from hil.importers import load_source
+from hil.recording import RunDirectory
+from hil.spec import ExperimentSpec, StudyEntry, load_spec
+from hil.studies import (
+    GROUP,
     PROBLEM_FILE,
     STUDIES,
     STUDY_FILE,
+    Ended,
+    Study,
+    StudyResult,
     folder_of,
+    study,
     write_problem,
     write_study,
 )
 from hil.workflow.under_loads import STUDY, as_in_spec, of_other_arms, under_loads
 
 if TYPE_CHECKING:
-    from hil.data.dataset import Dataset
+    from hil.data import Dataset
 
 EVERY_S = 0.1
 """Progress within one thing that is done is told no more often than this [s]."""

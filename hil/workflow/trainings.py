@@ -15,14 +15,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hil.core.errors import CheckpointRefused, HilError
-from hil.core.throttle import Throttle
-from hil.estimators.model_file import json_bytes
-from hil.evaluation.fitting import DIGEST_LENGTH, Fitted
-from hil.spec.experiment import Fit
+from hil.core import CheckpointRefused, HilError, Throttle
+from hil.estimators import json_bytes
+from hil.evaluation import DIGEST_LENGTH, Fitted
+from hil.spec import Fit
 
 if TYPE_CHECKING:
-    from hil.networks.training_loop.problem import Told
+    from hil.networks import Told
 
 FOLDER = ".training"
 

@@ -16,20 +16,17 @@ from typing import TYPE_CHECKING, Any
 
 from threadpoolctl import threadpool_limits
 
-from hil.core.errors import FitError, HilError
+from hil.core import FitError, HilError
 from hil.dynamics import load_model
-from hil.estimators.base import HONEST
-from hil.estimators.model_file import load_model_file
-from hil.evaluation.run_verdict import FailedFit
-from hil.importers.load import serial_of
-from hil.spec.experiment import Accept, ExperimentSpec, Fourier, StudyEntry
-from hil.studies.separation_text import mean_of
-from hil.studies.store import STUDIES, folder_of, write_problem, write_study
+from hil.estimators import HONEST, load_model_file
+from hil.evaluation import FailedFit
+from hil.importers import serial_of
+from hil.spec import Accept, ExperimentSpec, Fourier, StudyEntry
+from hil.studies import STUDIES, folder_of, mean_of, write_problem, write_study
 
 if TYPE_CHECKING:
-    from hil.data.dataset import Dataset
-    from hil.studies.load_score import UnderLoads
-    from hil.studies.load_validation import Failed
+    from hil.data import Dataset
+    from hil.studies import Failed, UnderLoads
     from hil.workflow.trainings import Tell
 
 STUDY = "load-validation"
@@ -114,8 +111,7 @@ def judge_under_loads(
 def _studied(
     run: Path, spec: ExperimentSpec, data: Dataset, tell: Tell
 ) -> tuple[Sequence[UnderLoads], Sequence[Failed]]:
-    from hil.studies.base import study
-    from hil.studies.load_validation import LoadValidation
+    from hil.studies import LoadValidation, study
 
     entries = under_loads(run, spec)
     if not entries:

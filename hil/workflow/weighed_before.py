@@ -9,11 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from hil.core.errors import DataError
-from hil.core.typing import StructArray
-from hil.importers.completeness import recorded_steps, step_is_complete
-from hil.planning.plan import Plan, Step
-from hil.planning.weighing import why_plan_not_weighed
+from hil.core import DataError, StructArray
+from hil.importers import recorded_steps, step_is_complete
+from hil.planning import Plan, Step, why_plan_not_weighed
 from hil.robot import Capabilities
 from hil.workflow.scales import Reading, gains_of, reading_of
 

@@ -10,12 +10,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
-from hil.core.errors import DataError, PreflightFailed
-from hil.core.typing import StructArray
-from hil.planning.plan import Plan, Step
-from hil.planning.weighing import is_sweep, why_plan_not_weighed
+from hil.core import DataError, PreflightFailed, StructArray
+from hil.planning import Plan, Step, is_sweep, why_plan_not_weighed
 from hil.robot import Capabilities
-from hil.spec.weigh import Weigh
+from hil.spec import Weigh
 from hil.workflow.scales import LoadReading, Reading, compare, gains_of, load_reading, reading_of
 from hil.workflow.weighing_verdict import Verdict, differs, friction_of
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.typing import FloatArray
-from hil.spec.weigh import Weigh
+from hil.core import FloatArray
+from hil.spec import Weigh
 from hil.workflow.scales import Comparison, LoadReading
 
 TELLING = 0.5

@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.errors import CommandRefused
-from hil.core.typing import FloatArray
+from hil.arms import Payload
+from hil.core import CommandRefused, FloatArray
 from hil.robot import Limits
 from hil_mock_robot.draw import published
 from hil_mock_robot.motion import BRAKING_SHARE, Motion

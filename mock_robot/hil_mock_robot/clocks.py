@@ -6,8 +6,7 @@ import math
 import threading
 from typing import Protocol
 
-from hil.core.errors import RobotTimeout
-from hil.core.typing import StructArray
+from hil.core import RobotTimeout, StructArray
 from hil_mock_robot.controller import Controller
 
 

@@ -7,7 +7,7 @@ import ipaddress
 import sys
 from collections.abc import Callable
 
-from hil.core.errors import HilError, SpecError
+from hil.core import HilError, SpecError
 
 LEAST_FACTOR, MOST_FACTOR = 0.01, 1000.0
 

@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.errors import CommandRefused, RobotConnectionError, RobotFault
-from hil.core.typing import FloatArray, StructArray
+from hil.arms import Payload
+from hil.core import CommandRefused, FloatArray, RobotConnectionError, RobotFault, StructArray
 from hil.robot import Segment, Status
 from hil_mock_robot.arm import EMERGENCY_STOP, FAULT_KINDS, FAULTS, PROTECTIVE_STOP, Arm
 from hil_mock_robot.faults import Fault, Schedule

@@ -13,8 +13,7 @@ import numpy as np
 import yaml
 
 from hil.arms import ArmDescription, load_arm
-from hil.core.errors import SpecError
-from hil.core.typing import FloatArray
+from hil.core import FloatArray, SpecError
 from hil_mock_robot.truth import (
     DriveTruth,
     FrictionTruth,

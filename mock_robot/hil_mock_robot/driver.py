@@ -16,10 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core import plugins
-from hil.core.errors import HilError
-from hil.core.typing import FloatArray, StructArray
+from hil.arms import Payload
+from hil.core import FloatArray, HilError, StructArray, plugins
 from hil.robot import Address, Capabilities, Identity, Limits, Segment
 from hil_mock_robot.arm import Arm
 from hil_mock_robot.clocks import Clock, VirtualClock

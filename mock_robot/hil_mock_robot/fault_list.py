@@ -8,8 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic
 
-from hil.core.errors import SpecError
-from hil.core.quick_yaml import look_into
+from hil.core import SpecError, look_into
 from hil_mock_robot.schedule import F
 
 LONGEST_S = 1e9

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from hil.core.errors import SpecError
+from hil.core import SpecError
 from hil_mock_robot.options import numbers_of
 
 KINDS: dict[str, tuple[str, ...]] = {

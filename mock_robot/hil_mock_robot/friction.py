@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.typing import FloatArray, StructArray
+from hil.core import FloatArray, StructArray
 from hil_mock_robot.native import require_libraries
 from hil_mock_robot.truth import JointTruth, Truth
 

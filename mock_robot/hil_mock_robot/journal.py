@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import DataError, RobotConnectionError
+from hil.core import DataError, RobotConnectionError
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ from collections import deque
 
 import numpy as np
 
-from hil.core.typing import StructArray
+from hil.core import StructArray
 from hil_mock_robot.faults import Fault
 
 MEASURED = ("q", "qd", "effort", "temperature")

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.core.errors import CommandRefused
-from hil.core.typing import FloatArray, IntArray
+from hil.core import CommandRefused, FloatArray, IntArray
 from hil.robot import Limits, Segment, Status
 
 START_TOLERANCE_RAD = 1e-4

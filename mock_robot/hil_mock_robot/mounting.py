@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.errors import SpecError
+from hil.arms import Payload
+from hil.core import SpecError
 from hil_mock_robot.options import Options, numbers_of, wrong_option
 
 GRAVITY = 9.81

@@ -13,8 +13,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from hil.core import plugins
-from hil.core.errors import PluginError
+from hil.core import PluginError, plugins
 
 HINT = 'pip install "hil[mock]"'
 

@@ -8,10 +8,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from hil.arms import ArmDescription
-from hil.arms.payload import Payload
-from hil.core.errors import SpecError
-from hil.core.typing import FloatArray
+from hil.arms import ArmDescription, Payload
+from hil.core import FloatArray, SpecError
 from hil_mock_robot.truth import Profile
 
 UPRIGHT_DEG = {"ur": (0.0, -90.0, 0.0, -90.0, 0.0, 0.0)}

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.core.errors import RobotFault
-from hil.core.typing import StructArray
+from hil.core import RobotFault, StructArray
 from hil_mock_robot.arm import WATCHDOG
 from hil_mock_robot.clocks import timed_out
 from hil_mock_robot.controller import Controller

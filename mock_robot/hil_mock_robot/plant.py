@@ -12,9 +12,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from hil.arms import ArmDescription
-from hil.arms.payload import Payload
-from hil.core.typing import FloatArray
+from hil.arms import ArmDescription, Payload
+from hil.core import FloatArray
 from hil_mock_robot.truth import LinkTruth
 
 LEAST_INERTIA = 1e-9

@@ -6,8 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hil.core.errors import SpecError
-from hil.core.typing import FloatArray, StructArray
+from hil.core import FloatArray, SpecError, StructArray
 
 SERVO_S = 1e-3
 """The servo's own cycle: the same whatever the substep, so that substeps can be compared."""

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hil.core.typing import FloatArray, StructArray
+from hil.core import FloatArray, StructArray
 from hil.robot import Status, state_dtype
 from hil_mock_robot.arm import Arm
 from hil_mock_robot.sensors import Sensors

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from hil.arms import ArmDescription
-from hil.core.typing import FloatArray, StructArray
+from hil.core import FloatArray, StructArray
 from hil_mock_robot.friction import COMPILED
 from hil_mock_robot.native import require_libraries
 from hil_mock_robot.plant import Plant

@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.errors import SpecError
-from hil.core.typing import FloatArray
+from hil.arms import Payload
+from hil.core import FloatArray, SpecError
 from hil_mock_robot.options import numbers_of
 
 MOST_TORQUE_NM, MOST_KG, MOST_M = 10_000.0, 100.0, 2.0

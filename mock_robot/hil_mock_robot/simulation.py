@@ -9,9 +9,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hil.arms import ArmDescription
-from hil.arms.payload import Payload
-from hil.core.typing import FloatArray
+from hil.arms import ArmDescription, Payload
+from hil.core import FloatArray
 from hil_mock_robot.draw import nominal_rotors, published
 from hil_mock_robot.friction import friction_laws, slip_elements
 from hil_mock_robot.mounting import MOUNTS

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil_mock_robot.friction import COMPILED, friction_torque
 from hil_mock_robot.native import call, require_libraries
 from hil_mock_robot.records import Disturbances, Joints, Native, Room, Timing, Views

@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hil.core.errors import SpecError
-from hil.core.typing import FloatArray
+from hil.core import FloatArray, SpecError
 from hil_mock_robot.draw import draw_truth
 from hil_mock_robot.options import Options, numbers_of, wrong_option
 from hil_mock_robot.truth import Truth

@@ -8,10 +8,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hil.arms import load_arm
-from hil.core.errors import HilError, SpecError
-from hil.robot.lease import leased
-from hil.spec.load import load_station
-from hil.spec.station import StationRobot
+from hil.core import HilError, SpecError
+from hil.robot import leased
+from hil.spec import StationRobot, load_station
 from hil_drivers.cia402.joining import Joined
 from hil_drivers.cia402.left_faults import LeftFault, faults_left, reset
 from hil_drivers.cia402.options import options_of

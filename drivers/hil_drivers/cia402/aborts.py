@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hil.core.errors import CommandRefused
+from hil.core import CommandRefused
 
 NO_OBJECT, NO_SUB_INDEX = 0x0602_0000, 0x0609_0011
 READ_ONLY, UNSUPPORTED_ACCESS = 0x0601_0002, 0x0601_0000

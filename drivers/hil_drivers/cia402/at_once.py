@@ -12,7 +12,7 @@ import struct
 import time
 from collections.abc import Iterable, Sequence
 
-from hil.core.errors import HilError
+from hil.core import HilError
 from hil_drivers.cia402.fed_network import Send
 from hil_drivers.cia402.objects import Entry
 

@@ -6,11 +6,9 @@ import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from hil.arms.payload import Payload
-from hil.core.errors import CommandRefused, RobotConnectionError, RobotFault, RobotTimeout
-from hil.core.typing import StructArray
-from hil.robot import Address, Capabilities, Finding, Identity, Limits, Segment
-from hil.robot.topic import Topic
+from hil.arms import Payload
+from hil.core import CommandRefused, RobotConnectionError, RobotFault, RobotTimeout, StructArray
+from hil.robot import Address, Capabilities, Finding, Identity, Limits, Segment, Topic
 from hil_drivers.checks import require_liftable
 from hil_drivers.cia402.drives import Commissioned
 from hil_drivers.cia402.facts import capabilities_of, identity_of, limits_of

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 
-from hil.can.bursts import MOST, Burst, Catch
+from hil.can import MOST, Burst, Catch
 from hil_drivers.cia402.ports import AGAIN_S, FramePort, SocketPort, send_within
 
 Sending = Callable[[float], bool]

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from hil.can.frame import Frame
-from hil.core.typing import StructArray
+from hil.can import Frame
+from hil.core import StructArray
 from hil_drivers.cia402.can_cyclic import MARKER
 from hil_drivers.cia402.mapping import (
     MOST_BYTES,

@@ -9,8 +9,8 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from hil.can.bits import BusLoad, bits_of, bus_load
-from hil.core.errors import SpecError
+from hil.can import BusLoad, bits_of, bus_load
+from hil.core import SpecError
 from hil_drivers.cia402.mapping import MAPPINGS, Mapping
 
 MOST_CYCLIC = 0.80

@@ -6,8 +6,7 @@ import itertools
 from collections import deque
 from pathlib import Path
 
-from hil.can.candump import CandumpWriter
-from hil.can.frame import unpack_frame
+from hil.can import CandumpWriter, unpack_frame
 
 
 class BusLog:

@@ -7,8 +7,8 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from hil.can.paths import runtime_folder, socket_path
-from hil.core.errors import PluginError, SpecError
+from hil.can import runtime_folder, socket_path
+from hil.core import PluginError, SpecError
 from hil_drivers.cia402 import option_checks as must
 
 BITRATES = (10_000, 1_000_000)

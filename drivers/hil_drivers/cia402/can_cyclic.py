@@ -9,7 +9,7 @@ import struct
 import time
 from collections.abc import Callable, Sequence
 
-from hil.can.frame import pack_frame
+from hil.can import pack_frame
 from hil_drivers.cia402.bursts import sending
 from hil_drivers.cia402.collecting import Collector
 from hil_drivers.cia402.contracts import Inputs, News, Outputs

@@ -14,7 +14,7 @@ from typing import Any
 
 import canopen
 
-from hil.core.errors import CommandRefused, RobotTimeout
+from hil.core import CommandRefused, RobotTimeout
 from hil_drivers.cia402 import objects as od
 from hil_drivers.cia402.aborts import Aborted
 from hil_drivers.cia402.at_once import SDO_ANSWER, AtOnce

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from hil.arms import ArmDescription
-from hil.core.errors import CommandRefused, RobotConnectionError
+from hil.core import CommandRefused, RobotConnectionError
 from hil_drivers.cia402 import objects as od
 from hil_drivers.cia402.braking import LONGEST_RAMP_S
 from hil_drivers.cia402.contracts import Acyclic

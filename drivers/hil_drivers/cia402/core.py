@@ -8,8 +8,14 @@ import threading
 import time
 from collections.abc import Callable
 
-from hil.core.errors import CommandRefused, HilError, RobotConnectionError, RobotFault, RobotTimeout
-from hil.core.typing import StructArray
+from hil.core import (
+    CommandRefused,
+    HilError,
+    RobotConnectionError,
+    RobotFault,
+    RobotTimeout,
+    StructArray,
+)
 from hil_drivers.cia402.cycling import Cycling
 from hil_drivers.cia402.phases import Phase
 from hil_drivers.cia402.player import Track

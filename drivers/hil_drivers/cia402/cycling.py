@@ -10,7 +10,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 
-from hil.core.errors import RobotConnectionError
+from hil.core import RobotConnectionError
 from hil_drivers.cia402.contracts import Cyclic, Inputs, Outputs
 from hil_drivers.cia402.mapping import LATE, STALLED, Mapping
 from hil_drivers.cia402.options import LATE_CYCLES_SIMULATED

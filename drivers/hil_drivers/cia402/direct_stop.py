@@ -10,8 +10,8 @@ import time
 from collections.abc import Iterator
 from contextlib import closing
 
-from hil.can.frame import pack_frame
-from hil.core.errors import HilError
+from hil.can import pack_frame
+from hil.core import HilError
 from hil_drivers.cia402.contracts import Outputs
 from hil_drivers.cia402.mapping import MAPPINGS, SYNC_COB_ID
 from hil_drivers.cia402.objects import MODE_NAMES

@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil_drivers.cia402.profile import WRAP, AxisProfile
 from hil_drivers.cia402.scaling import Scaling
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from hil.core.errors import SpecError
+from hil.core import SpecError
 from hil_drivers.cia402.mapping import Mapping
 from hil_drivers.cia402.objects import Entry
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.robot import Finding, Limits
 from hil_drivers.cia402.bus_load import MOST_CYCLIC, load_of
 from hil_drivers.cia402.commissioning import MASTER_SILENCE_MS

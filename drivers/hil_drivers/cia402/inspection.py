@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from hil.core.errors import SpecError
+from hil.core import SpecError
 from hil_drivers.cia402 import objects as od
 from hil_drivers.cia402.aborts import NOT_THERE, Aborted
 from hil_drivers.cia402.contracts import Acyclic

@@ -6,8 +6,8 @@ import contextlib
 import time
 from collections.abc import Sequence
 
-from hil.can.frame import pack_frame
-from hil.core.errors import HilError, RobotConnectionError
+from hil.can import pack_frame
+from hil.core import HilError, RobotConnectionError
 from hil_drivers.cia402.bus_log import BusLog
 from hil_drivers.cia402.can_cyclic import CanCyclic, LoggedPort
 from hil_drivers.cia402.canopen_acyclic import CanopenAcyclic

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.core.errors import CommandRefused
-from hil.core.typing import FloatArray
+from hil.core import CommandRefused, FloatArray
 from hil.robot import Limits, Segment
 from hil_drivers.checks import SPEED_SLACK, refused
 

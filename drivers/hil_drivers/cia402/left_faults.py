@@ -11,7 +11,7 @@ from __future__ import annotations
 import contextlib
 from dataclasses import dataclass
 
-from hil.core.errors import RobotFault
+from hil.core import RobotFault
 from hil_drivers.cia402 import objects as od
 from hil_drivers.cia402.aborts import Aborted
 from hil_drivers.cia402.canopen_acyclic import CanopenAcyclic

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.robot.topic import Topic
+from hil.robot import Topic
 from hil_drivers.cia402.options import Options
 from hil_drivers.cia402.samples import Samples
 from hil_drivers.cia402.session import Session

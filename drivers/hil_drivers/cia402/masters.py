@@ -5,8 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 
-from hil.can.frame import FRAME
-from hil.core.errors import RobotConnectionError
+from hil.can import FRAME
+from hil.core import RobotConnectionError
 from hil_drivers.cia402.mapping import RPDO_COB_IDS, SYNC_COB_ID, rpdo_cob_id
 from hil_drivers.cia402.ports import FramePort
 from hil_drivers.cia402.states import QUICK_STOP

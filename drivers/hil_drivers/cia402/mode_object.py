@@ -6,7 +6,7 @@ import time
 from collections.abc import Sequence
 from typing import Protocol
 
-from hil.core.errors import CommandRefused
+from hil.core import CommandRefused
 from hil_drivers.cia402 import objects as od
 from hil_drivers.cia402.contracts import Acyclic
 from hil_drivers.cia402.judging import mode_text

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass
 
-from hil.can.frame import ERROR, ERROR_BUS_OFF, ERROR_CONTROLLER, FRAME, TX_OVERFLOW
+from hil.can import ERROR, ERROR_BUS_OFF, ERROR_CONTROLLER, FRAME, TX_OVERFLOW
 from hil_drivers.cia402.contracts import Emergency, News
 from hil_drivers.cia402.masters import MasterWatch
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING
 
-from hil.core.errors import PluginError, RobotConnectionError
+from hil.core import PluginError, RobotConnectionError
 from hil_drivers.cia402.bus_options import Bus
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import struct
 from dataclasses import replace
 
-from hil.arms.payload import Payload
+from hil.arms import Payload
 from hil_drivers.cia402.contracts import Acyclic
 from hil_drivers.cia402.objects import Entry
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hil.can.frame import FRAME
+from hil.can import FRAME
 from hil_drivers.cia402.contracts import ByteArray, Inputs, Outputs
 from hil_drivers.cia402.mapping import MOST_BYTES, Mapping, Pdo, rpdo_cob_id, tpdo_cob_id
 

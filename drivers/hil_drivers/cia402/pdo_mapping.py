@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hil.core.errors import CommandRefused
+from hil.core import CommandRefused
 from hil_drivers.cia402.aborts import NOT_THERE, NOT_TO_WRITE, Aborted
 from hil_drivers.cia402.contracts import Acyclic
 from hil_drivers.cia402.mapping import Mapping, Pdo, rpdo_cob_id, tpdo_cob_id

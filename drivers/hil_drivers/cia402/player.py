@@ -6,7 +6,7 @@ import threading
 from collections import deque
 from collections.abc import Sequence
 
-from hil.core.errors import CommandRefused
+from hil.core import CommandRefused
 from hil.robot import Status
 from hil_drivers.cia402 import objects as od
 from hil_drivers.cia402.contracts import Inputs, Outputs

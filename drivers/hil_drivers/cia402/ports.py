@@ -7,9 +7,8 @@ import socket
 import time
 from typing import Any, Protocol
 
-from hil.can.bursts import FULL
-from hil.can.frame import ERROR, EXTENDED, FRAME, ID_MASK, REMOTE
-from hil.core.errors import RobotConnectionError
+from hil.can import ERROR, EXTENDED, FRAME, FULL, ID_MASK, REMOTE
+from hil.core import RobotConnectionError
 
 AGAIN_S = 1e-4
 """From one try to the next where the transmit queue is full [s]."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, Literal
 
-from hil.core.errors import SpecError
+from hil.core import SpecError
 
 TURN = 2.0 * math.pi
 WRAP = 1 << 32

@@ -7,7 +7,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from hil.core.errors import HilError
+from hil.core import HilError
 from hil_drivers.cia402.contracts import Cyclic
 
 AT_ONCE_S = 0.02

@@ -5,8 +5,7 @@ from __future__ import annotations
 import socket
 from pathlib import Path
 
-from hil.can.interfaces import is_up, up_command
-from hil.can.paths import socket_path
+from hil.can import is_up, socket_path, up_command
 from hil.robot import Finding
 from hil_drivers.cia402.bus_options import Bus
 

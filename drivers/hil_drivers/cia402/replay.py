@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from hil.arms import load_arm
-from hil.can.candump import read_candump
-from hil.core.errors import DataError
-from hil.core.typing import StructArray
-from hil.robot.topic import Topic
+from hil.can import read_candump
+from hil.core import DataError, StructArray
+from hil.robot import Topic
 from hil_drivers.cia402.bus_cycles import BusCycles
 from hil_drivers.cia402.inspection import profile_of, said_by
 from hil_drivers.cia402.mapping import MAPPINGS

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.typing import FloatArray, StructArray
+from hil.core import FloatArray, StructArray
 from hil_drivers.cia402.contracts import Cyclic
 from hil_drivers.cia402.mapping import Mapping, cycle_dtype
 

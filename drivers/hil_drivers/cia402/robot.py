@@ -10,11 +10,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import RobotConnectionError, RobotTimeout
-from hil.robot import Finding
-from hil.robot.facts import Facts
-from hil.robot.logs import RecordedLog
-from hil.robot.process import RobotProcess
+from hil.core import RobotConnectionError, RobotTimeout
+from hil.robot import Facts, Finding, RecordedLog, RobotProcess
 from hil_drivers.cia402.direct_stop import stop_directly
 from hil_drivers.cia402.facts import capabilities_of, limits_of
 from hil_drivers.cia402.mapping import MAPPINGS

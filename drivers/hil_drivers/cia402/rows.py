@@ -12,9 +12,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from hil.core.typing import BoolArray, FloatArray, IntArray, StructArray
-from hil.robot import Status, state_dtype
-from hil.robot.topic import Topic
+from hil.core import BoolArray, FloatArray, IntArray, StructArray
+from hil.robot import Status, Topic, state_dtype
 from hil_drivers.cia402.mapping import INCOMPLETE, STALLED, Mapping
 from hil_drivers.cia402.objects import CSP, CST, Entry
 from hil_drivers.cia402.scaling import Scaling

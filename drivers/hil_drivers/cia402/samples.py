@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from hil.core.typing import StructArray
-from hil.robot.topic import Topic
+from hil.core import StructArray
+from hil.robot import Topic
 from hil_drivers.cia402.core import Core
 from hil_drivers.cia402.mapping import INCOMPLETE
 from hil_drivers.cia402.rows import TOPIC, StateRows, raw_rows

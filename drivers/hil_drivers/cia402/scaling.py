@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil_drivers.cia402.profile import INT16, INT32, WRAP, AxisProfile
 
 IntArray = NDArray[np.int64]

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 
 from hil.arms import load_arm
-from hil.core.errors import HilError
+from hil.core import HilError
 from hil_drivers.cia402 import objects as od
 from hil_drivers.cia402.braking import LONGEST_RAMP_S, BrakeWatch
 from hil_drivers.cia402.commissioning import MODES, configured, inspected

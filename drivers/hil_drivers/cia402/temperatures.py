@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil_drivers.cia402.node_watch import SDO_ANSWER_COB_ID
 
 CELSIUS_PER_COUNT = 0.1

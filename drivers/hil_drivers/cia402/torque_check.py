@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.core.errors import RobotConnectionError
-from hil.core.typing import FloatArray
+from hil.core import FloatArray, RobotConnectionError
 from hil_drivers.cia402.mapping import Mapping
 from hil_drivers.cia402.objects import TORQUE
 from hil_drivers.cia402.session import Session

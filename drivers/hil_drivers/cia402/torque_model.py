@@ -10,13 +10,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hil.arms import arm_names
-from hil.arms.payload import Payload
-from hil.core.errors import SpecError
-from hil.core.typing import FloatArray
+from hil.arms import Payload, arm_names
+from hil.core import FloatArray, SpecError
 
 if TYPE_CHECKING:
-    from hil.dynamics.robot_model import RobotModel
+    from hil.dynamics import RobotModel
 
 GRAVITY = (0.0, 0.0, -9.81)
 
@@ -58,7 +56,7 @@ class TorqueModel:
 
 
 def _robot_model(model: str, urdf: str, gravity: tuple[float, float, float]) -> RobotModel:
-    from hil.dynamics.robot_model import RobotModel
+    from hil.dynamics import RobotModel
 
     if not urdf:
         return RobotModel.from_arm(model, gravity=gravity)

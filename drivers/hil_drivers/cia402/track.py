@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-from hil.core.typing import IntArray
+from hil.core import IntArray
 
 _HALF, _WHOLE = 1 << 31, 1 << 32
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.core.typing import FloatArray, IntArray
+from hil.core import FloatArray, IntArray
 from hil.robot import Limits, Segment
 from hil_drivers.checks import require_executable
 from hil_drivers.cia402.jumps import require_smooth

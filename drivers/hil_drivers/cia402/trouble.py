@@ -5,8 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 
-from hil.core.errors import RobotFault, RobotTimeout
-from hil.core.typing import StructArray
+from hil.core import RobotFault, RobotTimeout, StructArray
 from hil.robot import Status
 from hil_drivers.cia402 import objects as od
 from hil_drivers.cia402.emergencies import error_text

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 
-from hil.core.errors import HilError
+from hil.core import HilError
 
 EVERY_S = 0.04
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
-from hil.arms.payload import Payload
-from hil.core.errors import CommandRefused, RobotConnectionError, RobotFault, RobotTimeout
+from hil.arms import Payload
+from hil.core import CommandRefused, RobotConnectionError, RobotFault, RobotTimeout
 from hil.robot import Limits, Segment
 from hil_drivers.checks import require_executable
 from hil_drivers.twincat.controller import Controller

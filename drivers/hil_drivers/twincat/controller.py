@@ -9,7 +9,7 @@ import time
 import numpy as np
 
 from hil.arms import load_arm
-from hil.core.errors import CommandRefused, HilError, RobotConnectionError, RobotFault
+from hil.core import CommandRefused, HilError, RobotConnectionError, RobotFault
 from hil.robot import Identity, Segment
 from hil_drivers.twincat.beat import Beat
 from hil_drivers.twincat.facts import identity_of, require_fit, text

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hil.arms import load_arm
-from hil.core.errors import PluginError, RobotConnectionError
+from hil.core import PluginError, RobotConnectionError
 from hil.robot import Capabilities, Identity, Limits
 from hil_drivers.twincat.options import Options
 from hil_drivers.twincat.symbols import CONTRACT, CURRENT, TORQUE

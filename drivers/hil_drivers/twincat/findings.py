@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.arms.payload import Payload
+from hil.arms import Payload
 from hil.robot import Finding, Limits
 from hil_drivers.twincat.beat import EVERY_S
 from hil_drivers.twincat.controller import Controller

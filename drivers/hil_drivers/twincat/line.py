@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.errors import RobotConnectionError
+from hil.core import RobotConnectionError
 from hil_drivers.twincat.options import Options
 from hil_drivers.twincat.places import (
     HANDLE_BY_NAME,

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.errors import CommandRefused, RobotFault, RobotTimeout
+from hil.arms import Payload
+from hil.core import CommandRefused, RobotFault, RobotTimeout
 from hil_drivers.twincat.symbols import REASONS, Layout, Order, Result
 
 ANSWER_S = 2.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 from typing import Any
 
-from hil.core.errors import PluginError, RobotConnectionError
+from hil.core import PluginError, RobotConnectionError
 from hil.robot import Finding
 from hil_drivers.patience import once_listening
 from hil_drivers.twincat.options import Options, is_ip

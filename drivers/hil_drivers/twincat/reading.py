@@ -8,9 +8,8 @@ from contextlib import suppress
 
 import numpy as np
 
-from hil.core.errors import RobotConnectionError, RobotFault, RobotTimeout
-from hil.core.typing import StructArray
-from hil.robot.topic import Topic
+from hil.core import RobotConnectionError, RobotFault, RobotTimeout, StructArray
+from hil.robot import Topic
 from hil_drivers.twincat.controller import Controller
 from hil_drivers.twincat.options import Options
 from hil_drivers.twincat.rows import TOPIC, HostClock, reading_rows, state_rows

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from hil.core.errors import (
+from hil.core import (
     CommandRefused,
     HilError,
     PluginError,

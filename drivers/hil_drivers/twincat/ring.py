@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.errors import RobotConnectionError
-from hil.core.typing import StructArray
+from hil.core import RobotConnectionError, StructArray
 
 Read = Callable[[int, int], bytes]
 """Bytes of the ring: from which byte on, and how many."""

@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from hil.arms.payload import Payload
-from hil.core.errors import CommandRefused, RobotConnectionError, RobotFault
-from hil.core.typing import StructArray
-from hil.robot import Address, Capabilities, Finding, Identity, Limits, Segment
-from hil.robot.topic import Topic
+from hil.arms import Payload
+from hil.core import CommandRefused, RobotConnectionError, RobotFault, StructArray
+from hil.robot import Address, Capabilities, Finding, Identity, Limits, Segment, Topic
 from hil_drivers.checks import require_liftable
 from hil_drivers.twincat import commanding
 from hil_drivers.twincat.controller import Controller

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.core.typing import StructArray
-from hil.robot import state_dtype
-from hil.robot.topic import Topic
+from hil.core import StructArray
+from hil.robot import Topic, state_dtype
 from hil_drivers.twincat.ring import Ring
 from hil_drivers.twincat.symbols import EFFORT_TARGETS, TEMPERATURES
 

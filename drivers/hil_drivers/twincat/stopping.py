@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hil.core.errors import HilError, RobotTimeout
+from hil.core import HilError, RobotTimeout
 from hil_drivers.twincat.line import Line
 from hil_drivers.twincat.variables import Variables
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.typing import StructArray
+from hil.core import StructArray
 from hil.robot import Segment
 
 Write = Callable[[bytes, int], None]

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.errors import PluginError, RobotConnectionError
+from hil.core import PluginError, RobotConnectionError
 from hil.robot import Segment
 from hil_drivers.twincat.facts import require_contract
 from hil_drivers.twincat.line import Line

@@ -7,8 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hil.core.errors import HilError, RobotFault, RobotTimeout
-from hil.core.typing import StructArray
+from hil.core import HilError, RobotFault, RobotTimeout, StructArray
 from hil.robot import Status
 from hil_drivers.twincat.symbols import Phase
 

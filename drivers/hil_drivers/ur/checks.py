@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.robot import Limits, Segment
 from hil_drivers import checks
 from hil_drivers.ur.options import MOST_ACCELERATION, MOST_SPEED

@@ -15,8 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hil.core.errors import RobotConnectionError
-from hil.core.typing import FloatArray
+from hil.core import FloatArray, RobotConnectionError
 from hil.robot import Limits
 
 PRIMARY_PORT = 30001

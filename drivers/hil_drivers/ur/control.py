@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from importlib import import_module
 from typing import Any
 
-from hil.arms.payload import Payload
-from hil.core.errors import CommandRefused, PluginError, RobotConnectionError
+from hil.arms import Payload
+from hil.core import CommandRefused, PluginError, RobotConnectionError
 from hil_drivers.ur.own_line import OwnLine
 
 LIBRARY = "rtde_control"

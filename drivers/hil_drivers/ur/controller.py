@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.errors import HilError, RobotConnectionError, RobotTimeout
+from hil.arms import Payload
+from hil.core import HilError, RobotConnectionError, RobotTimeout
 from hil.robot import Identity, Limits
 from hil_drivers.patience import once_listening
 from hil_drivers.ur.configuration import JointLimits, told_by_primary

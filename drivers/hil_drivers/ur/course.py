@@ -7,7 +7,7 @@ import time
 
 import numpy as np
 
-from hil.core.errors import HilError
+from hil.core import HilError
 from hil_drivers.ur.braking import Ramp
 from hil_drivers.ur.options import Options
 from hil_drivers.ur.phases import UNDER_WAY, Phase

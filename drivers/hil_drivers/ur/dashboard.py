@@ -6,7 +6,7 @@ import socket
 import time
 from types import TracebackType
 
-from hil.core.errors import RobotConnectionError
+from hil.core import RobotConnectionError
 
 PORT = 29999
 ANSWER_S = 2.0

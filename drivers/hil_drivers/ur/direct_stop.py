@@ -6,7 +6,7 @@ import contextlib
 import socket
 import time
 
-from hil.core.errors import RobotFault
+from hil.core import RobotFault
 from hil_drivers.ur.dashboard import Dashboard
 
 SCRIPT_PORT, DASHBOARD_PORT = 30003, 29999

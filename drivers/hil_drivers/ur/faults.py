@@ -9,8 +9,7 @@ import math
 
 import numpy as np
 
-from hil.core.errors import RobotFault
-from hil.core.typing import StructArray
+from hil.core import RobotFault, StructArray
 from hil_drivers.ur.rows import (
     HARMLESS,
     PAUSED,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 
 JUMP_S = 0.04
 """Lateness that is made up for at once: `servoj` smooths over more than that [s]."""

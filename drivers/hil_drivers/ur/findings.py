@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.arms.payload import Payload
+from hil.arms import Payload
 from hil.robot import Finding
 from hil_drivers.ur.controller import INERTIA_SINCE, Controller
 from hil_drivers.ur.facts import limits_of

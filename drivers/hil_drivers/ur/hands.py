@@ -6,8 +6,7 @@ import time
 
 import numpy as np
 
-from hil.core.errors import CommandRefused
-from hil.core.typing import FloatArray
+from hil.core import CommandRefused, FloatArray
 from hil.robot import Segment
 from hil_drivers.ur.control import Control
 from hil_drivers.ur.course import Course

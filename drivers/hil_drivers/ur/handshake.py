@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from hil.core.errors import RobotConnectionError
+from hil.core import RobotConnectionError
 from hil_drivers.ur.fields import REQUIRED, names_for
 from hil_drivers.ur.rtde_wire import (
     HEADER,

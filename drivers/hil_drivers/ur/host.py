@@ -6,7 +6,7 @@ import ipaddress
 import socket
 import threading
 
-from hil.core.errors import RobotConnectionError
+from hil.core import RobotConnectionError
 
 WITHIN_S = 5.0
 """How long a name server may take [s]."""

@@ -6,7 +6,7 @@ from collections import deque
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 
 
 class LagWatch:

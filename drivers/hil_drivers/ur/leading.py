@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.core.errors import RobotFault
-from hil.core.typing import FloatArray
+from hil.core import FloatArray, RobotFault
 from hil.robot import Segment
 from hil_drivers.ur.feed import Feed
 from hil_drivers.ur.lag import LagWatch

@@ -10,8 +10,14 @@ from typing import Protocol
 
 import numpy as np
 
-from hil.core.errors import HilError, RobotConnectionError, RobotFault, RobotTimeout, StaleState
-from hil.core.typing import StructArray
+from hil.core import (
+    HilError,
+    RobotConnectionError,
+    RobotFault,
+    RobotTimeout,
+    StaleState,
+    StructArray,
+)
 from hil_drivers.ur.course import Course
 from hil_drivers.ur.direct_stop import stop_directly, stop_program
 from hil_drivers.ur.options import Options

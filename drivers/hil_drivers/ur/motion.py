@@ -7,13 +7,9 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from hil.arms.payload import Payload
-from hil.core.errors import HilError, RobotConnectionError, StaleState
-from hil.core.typing import StructArray
-from hil.robot import Segment
-from hil.robot.documents import plain_options, segment_document
-from hil.robot.driver_process import DriverProcess
-from hil.robot.frames import garbage
+from hil.arms import Payload
+from hil.core import HilError, RobotConnectionError, StaleState, StructArray
+from hil.robot import DriverProcess, Segment, garbage, plain_options, segment_document
 from hil_drivers.ur.lookout import LOST_EXIT, SILENCE_HINT, STALE_EXIT
 
 CHILD = "hil_drivers.ur.motion_child:UrMotion"

@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.errors import CommandRefused, HilError, RobotConnectionError
-from hil.core.typing import StructArray
+from hil.arms import Payload
+from hil.core import CommandRefused, HilError, RobotConnectionError, StructArray
 from hil.robot import Capabilities, Identity, Limits, Segment, Status
 from hil_drivers.ur.control import LIBRARY, Control
 from hil_drivers.ur.direct_stop import end_program, stop_directly

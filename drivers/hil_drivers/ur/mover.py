@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from hil.core.errors import CommandRefused, HilError, RobotConnectionError, RobotFault, RobotTimeout
+from hil.core import CommandRefused, HilError, RobotConnectionError, RobotFault, RobotTimeout
 from hil.robot import Segment
 from hil_drivers.ur.control import Control
 from hil_drivers.ur.course import Course

@@ -10,8 +10,7 @@ from dataclasses import dataclass, fields
 from typing import Any, Literal
 
 from hil.arms import load_arm
-from hil.core.errors import SpecError
-from hil.core.suggest import closest
+from hil.core import SpecError, closest
 
 SERIES_HZ = {"ur3": 125, "ur5": 125, "ur10": 125, "ur3e": 500, "ur5e": 500, "ur10e": 500}
 """Ticks per second of the controller that moves an arm: CB3 125, e-Series 500 [Hz]."""

@@ -6,8 +6,7 @@ from enum import Enum, auto
 
 import numpy as np
 
-from hil.core.errors import RobotFault
-from hil.core.typing import FloatArray
+from hil.core import FloatArray, RobotFault
 from hil_drivers.ur.standing import STILL_RAD_S
 
 AT_GOAL_RAD, LED_TO_RAD = 5e-4, 0.01

@@ -6,7 +6,7 @@ import contextlib
 import time
 from typing import Any
 
-from hil.core.errors import HilError, RobotFault, RobotTimeout
+from hil.core import HilError, RobotFault, RobotTimeout
 from hil_drivers.ur.rows import PLAYING
 
 PLAYS_WITHIN_S = 5.0

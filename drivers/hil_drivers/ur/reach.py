@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 from collections.abc import Iterator
 
-from hil.core.errors import RobotConnectionError
+from hil.core import RobotConnectionError
 from hil.robot import Finding
 from hil_drivers.ur.configuration import PRIMARY_PORT
 from hil_drivers.ur.dashboard import PORT, Dashboard

@@ -16,8 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.errors import RobotConnectionError
-from hil.core.typing import StructArray
+from hil.core import RobotConnectionError, StructArray
 from hil_drivers.ur.cutting import Counts
 from hil_drivers.ur.handshake import Agreement, Conversation, Version
 from hil_drivers.ur.rtde_wire import TextMessage

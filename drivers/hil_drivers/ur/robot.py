@@ -9,11 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.errors import CommandRefused, HilError, RobotConnectionError, RobotFault, RobotTimeout
-from hil.core.typing import StructArray
-from hil.robot import Address, Capabilities, Finding, Identity, Limits, Segment, is_loopback
-from hil.robot.topic import Topic
+from hil.arms import Payload
+from hil.core import (
+    CommandRefused,
+    HilError,
+    RobotConnectionError,
+    RobotFault,
+    RobotTimeout,
+    StructArray,
+)
+from hil.robot import Address, Capabilities, Finding, Identity, Limits, Segment, Topic, is_loopback
 from hil_drivers.checks import require_liftable
 from hil_drivers.ur.checks import require_executable
 from hil_drivers.ur.controller import KEPT_S, READ_BACK_S, Controller

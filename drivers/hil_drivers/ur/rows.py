@@ -10,10 +10,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from hil.core.errors import SpecError
-from hil.core.typing import BoolArray, FloatArray, IntArray, StructArray
-from hil.robot import Status, state_dtype
-from hil.robot.topic import Topic
+from hil.core import BoolArray, FloatArray, IntArray, SpecError, StructArray
+from hil.robot import Status, Topic, state_dtype
 from hil_drivers.ur.fields import FIELDS
 from hil_drivers.ur.rtde_wire import TYPES
 

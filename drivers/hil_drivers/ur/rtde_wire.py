@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.typing import StructArray
+from hil.core import StructArray
 
 HEADER = struct.Struct(">HB")
 SHORTEST, LONGEST = HEADER.size, 65535

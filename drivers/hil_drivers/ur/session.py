@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.errors import RobotConnectionError, RobotFault
+from hil.core import RobotConnectionError, RobotFault
 from hil_drivers.ur.dashboard import Dashboard
 from hil_drivers.ur.faults import complaints, occupied, remedies, speed_complaint
 from hil_drivers.ur.options import SERIES_HZ

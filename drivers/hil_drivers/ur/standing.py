@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hil.core.typing import StructArray
+from hil.core import StructArray
 from hil.robot import Status
 
 STILL_RAD_S = 1e-3

@@ -11,8 +11,7 @@ from collections import deque
 
 import numpy as np
 
-from hil.core.errors import RobotConnectionError, RobotTimeout
-from hil.core.typing import StructArray
+from hil.core import RobotConnectionError, RobotTimeout, StructArray
 from hil_drivers.ur.cutting import Counts, Cutter
 from hil_drivers.ur.handshake import Agreement
 from hil_drivers.ur.rtde_wire import TextMessage

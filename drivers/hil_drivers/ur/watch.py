@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.errors import HilError, StaleState
-from hil.core.typing import StructArray
+from hil.core import HilError, StaleState, StructArray
 from hil.robot import Status
 from hil_drivers.ur.faults import complaints, first_fault
 from hil_drivers.ur.options import Options

@@ -9,13 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core import plugins
-from hil.core.errors import PluginError, RobotFault, SpecError
-from hil.core.typing import FloatArray
-from hil.planning.robots import connected
+from hil.arms import Payload
+from hil.core import FloatArray, PluginError, RobotFault, SpecError, plugins
+from hil.planning import connected
 from hil.robot import Robot, TorqueControlled, is_simulated
-from hil.spec.station import StationRobot
+from hil.spec import StationRobot
 
 RATE_HZ = 1000.0
 """Of the controller."""

@@ -12,9 +12,8 @@ from hil.control.trial.judged import relief
 from hil.control.trial.leading import Led
 from hil.control.trial.result import Trial
 from hil.control.trial.tracking import Tracked
-from hil.core.typing import FloatArray
-from hil.studies.result import Curve, Figure, Panel
-from hil.studies.separation_text import joint_titles
+from hil.core import FloatArray
+from hil.studies import Curve, Figure, Panel, joint_titles
 
 DRAWN_HZ = 50.0
 """Points of a curve, per second of the motion."""

@@ -13,9 +13,8 @@ from hil.control.trial.leading import Led
 from hil.control.trial.result import Trial
 from hil.control.trial.settings import SEEDS_APART, SPEED_HZ
 from hil.control.trial.tracking import Tracked
-from hil.core.typing import FloatArray
-from hil.studies.result import Part, StudyResult, Table
-from hil.studies.separation_text import joint_titles, listed, mean_of, value, values
+from hil.core import FloatArray
+from hil.studies import Part, StudyResult, Table, joint_titles, listed, mean_of, value, values
 
 NAME = "try-out"
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from hil.control.trial import laws, leading
 from hil.control.trial.settings import HALF
-from hil.core.typing import FloatArray
-from hil.studies.separation_text import listed, mean_of
+from hil.core import FloatArray
+from hil.studies import listed, mean_of
 
 if TYPE_CHECKING:
     from hil.control.trial.result import Trial

@@ -6,15 +6,15 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hil.arms.payload import Payload
+from hil.arms import Payload
 from hil.control.hand_guiding import HandGuiding
 from hil.control.predictor import Predictor
 from hil.control.trial.arm import RATE_HZ
 from hil.control.trial.reference import Reference
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.dynamics import RobotModel
-from hil.estimators.base import RobotEstimator
-from hil.networks.residual.fitted import CorrectedModel
+from hil.estimators import RobotEstimator
+from hil.networks import CorrectedModel
 
 NOTHING, GRAVITY, NOMINAL, MODEL = "no model", "gravity", "datasheet arm", "model"
 

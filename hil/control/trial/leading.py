@@ -14,7 +14,7 @@ import numpy as np
 from hil.control.trial.arm import RATE_HZ, Arm
 from hil.control.trial.gains import Spring
 from hil.control.trial.reference import SETTLE_S, Leading
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 
 Drives = Callable[[FloatArray, FloatArray], FloatArray]
 """Torque (n,) [N·m] from position and velocity."""

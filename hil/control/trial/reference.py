@@ -9,15 +9,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.arms.payload import Payload
+from hil.arms import Payload
 from hil.control.trial.arm import RATE_HZ, Bench
 from hil.control.trial.settings import SEEDS_APART
-from hil.core.errors import PlanError
-from hil.core.typing import FloatArray
-from hil.excitation.workspace import Workspace
-from hil.planning.build import build_plan
-from hil.planning.place import plannable_arm, roadmap_of, workspace_of
-from hil.spec.experiment import ExperimentSpec
+from hil.core import FloatArray, PlanError
+from hil.excitation import Workspace
+from hil.planning import build_plan, plannable_arm, roadmap_of, workspace_of
+from hil.spec import ExperimentSpec
 
 SETTLE_S = 1.0
 """At rest before the motion begins; not counted."""

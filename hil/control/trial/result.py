@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.arms.payload import Payload
+from hil.arms import Payload
 from hil.control.trial.arm import RATE_HZ
 from hil.control.trial.gains import Spring
 from hil.control.trial.judged import judged
@@ -15,7 +15,7 @@ from hil.control.trial.leading import HAND_FIRMNESS, Led
 from hil.control.trial.reference import Leading
 from hil.control.trial.settings import SPEED_HZ
 from hil.control.trial.tracking import Tracked
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

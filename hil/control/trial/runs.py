@@ -15,9 +15,8 @@ from hil.control.trial.leading import Drives, Led, lead
 from hil.control.trial.reference import Leading, Reference
 from hil.control.trial.settings import SPEED_HZ
 from hil.control.trial.tracking import Tracked, track
-from hil.core.errors import FitError
-from hil.core.typing import FloatArray
-from hil.estimators.base import RobotEstimator
+from hil.core import FitError, FloatArray
+from hil.estimators import RobotEstimator
 
 Progress = Callable[[str], object]
 """Told what is being run."""

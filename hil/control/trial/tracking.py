@@ -9,7 +9,7 @@ import numpy as np
 from hil.control.trial.arm import Arm
 from hil.control.trial.gains import Spring
 from hil.control.trial.reference import Reference
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 
 MOST_ERROR_RAD = 0.35
 """Further from the trajectory the arm is braked."""

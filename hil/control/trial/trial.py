@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.arms.payload import Payload
+from hil.arms import Payload
 from hil.control.rest_place import place_of
 from hil.control.trial.arm import RATE_HZ, Bench, require_simulated
 from hil.control.trial.gains import spring_for
@@ -17,11 +17,9 @@ from hil.control.trial.reference import SWINGS_DEG, Leading, leading_for, trajec
 from hil.control.trial.result import Trial
 from hil.control.trial.runs import Progress, guidings, led_with, tracked_by
 from hil.control.trial.settings import FRICTION_SHARE, MOST_SEED
-from hil.core.errors import SpecError
-from hil.estimators.base import RobotEstimator
-from hil.estimators.model_file import load_model_file
-from hil.estimators.standstill import require_torque
-from hil.spec.station import StationRobot
+from hil.core import SpecError
+from hil.estimators import RobotEstimator, load_model_file, require_torque
+from hil.spec import StationRobot
 
 
 def run_trial(

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.core.errors import DataError
-from hil.core.typing import BoolArray, FloatArray
+from hil.core import BoolArray, DataError, FloatArray
 
 MAX_NYQUIST_FRACTION = 0.8
 """Above this the bilinear transform squeezes the stop band to nothing."""

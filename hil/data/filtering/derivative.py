@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.core.errors import DataError
-from hil.core.typing import FloatArray
+from hil.core import DataError, FloatArray
 
 BLOCK = 8192
 """Samples whose polynomials are fitted at once; bounds memory on long series."""

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.core.errors import DataError
-from hil.core.typing import BoolArray, FloatArray
+from hil.core import BoolArray, DataError, FloatArray
 from hil.data.dataset import Conditions, Dataset, rows_of
 from hil.data.filtering.butterworth import CLOCK, MAX_NYQUIST_FRACTION, sample_rate
 from hil.data.filtering.settings import FilterSettings

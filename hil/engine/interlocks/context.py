@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from hil.core.typing import FloatArray
-from hil.robot.protocol import ClockKind, EffortKind
-from hil.spec.interlocks import WorkspaceInterlock
+from hil.core import FloatArray
+from hil.robot import ClockKind, EffortKind
+from hil.spec import WorkspaceInterlock
 
 
 class Distances(Protocol):

@@ -7,10 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hil.core import plugins
-from hil.core.errors import PlanError
-from hil.core.suggest import did_you_mean
-from hil.core.typing import BoolArray
+from hil.core import BoolArray, PlanError, did_you_mean, plugins
 from hil.engine.freshness import STALE_AFTER_S
 from hil.engine.interlocks.collection import Interlocks, Off
 from hil.engine.interlocks.context import InterlockContext
@@ -19,7 +16,7 @@ from hil.engine.interlocks.least_distance import LeastDistance
 from hil.engine.interlocks.recording import Backlog, FreeSpace
 from hil.engine.interlocks.speed_scaling import SpeedScaling
 from hil.engine.interlocks.threshold import PerJoint, Threshold
-from hil.spec.interlocks import COOLER_C, INTERLOCK_KINDS
+from hil.spec import COOLER_C, INTERLOCK_KINDS
 
 GROUP = "hil.interlocks"
 MEMBERS = ("name", "action", "check", "clear")

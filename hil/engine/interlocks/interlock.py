@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal, Protocol, runtime_checkable
 
-from hil.core.errors import InterlockTripped
-from hil.core.typing import StructArray
+from hil.core import InterlockTripped, StructArray
 
 Action = Literal["stop", "pause"]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.core.typing import FloatArray, StructArray
+from hil.core import FloatArray, StructArray
 from hil.engine.interlocks.context import Distances
 from hil.engine.interlocks.interlock import Action, Margin, Trip
 from hil.engine.interlocks.moving import moving

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.core.typing import BoolArray, StructArray
+from hil.core import BoolArray, StructArray
 from hil.robot import Status
 
 

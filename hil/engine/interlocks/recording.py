@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from hil.core.typing import StructArray
+from hil.core import StructArray
 from hil.engine.interlocks.interlock import Action, Margin, Trip
 
 POLL_S = 1.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from hil.core.typing import StructArray
+from hil.core import StructArray
 from hil.engine.interlocks.interlock import Action, Trip
 
 LEAST_SHARE = 0.99

@@ -11,18 +11,18 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.typing import StructArray
+from hil.core import StructArray
 from hil.engine.live.standing import Standing
-from hil.recording.joint_state import (
+from hil.recording import (
+    EVENT_SCHEMA,
+    EVENT_TEXT,
+    EVENT_TOPIC,
     JOINT_STATE_SCHEMA,
     JOINT_STATE_TEXT,
     JOINT_STATE_TOPIC,
     JointStateView,
 )
-from hil.recording.log_message import EVENT_SCHEMA, EVENT_TEXT, EVENT_TOPIC
-from hil.robot import Capabilities
-from hil.robot.cdr import CDR_HEADER
-from hil.robot.topic import Topic, state_topic
+from hil.robot import CDR_HEADER, Capabilities, Topic, state_topic
 
 TRACKING_TOPIC = "/robot/tracking_error"
 PROGRESS_TOPIC = "/hil/progress"

@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hil.core.typing import FloatArray, StructArray
-from hil.recording.joint_state import MAX_RATE_HZ
+from hil.core import FloatArray, StructArray
+from hil.recording import MAX_RATE_HZ
 
 AT_ONCE = 12
 """Rows shown of one block at most, so that a burst is no flood."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from hil.core.holder import plain
+from hil.core import plain
 from hil.engine.live.words import answer_words
 
 MOST = 2000

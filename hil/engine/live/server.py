@@ -19,15 +19,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
-from hil.core import plugins
-from hil.core.errors import HilError, PluginError
-from hil.core.time_limit import bounded
-from hil.core.typing import StructArray
+from hil.core import HilError, PluginError, StructArray, bounded, plugins
 from hil.engine.live.channels import PROGRESS_SCHEMA, PROGRESS_TOPIC, RobotTopics
 from hil.engine.live.decimate import Decimation
 from hil.engine.live.standing import Standing
 from hil.engine.live.words import words_of
-from hil.recording.log_message import EVENT_TOPIC, encode_log
+from hil.recording import EVENT_TOPIC, encode_log
 from hil.robot import Capabilities
 
 if TYPE_CHECKING:

@@ -12,8 +12,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from hil.excitation.workspace import Clearance
-from hil.planning.plan import Plan
+from hil.excitation import Clearance
+from hil.planning import Plan
 from hil.robot import Robot
 
 Figure = float | str | None

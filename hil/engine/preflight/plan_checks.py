@@ -7,10 +7,9 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.engine.preflight.check import CheckResult, Situation
-from hil.planning.plan_preview import recording_bytes
-from hil.planning.weighing import why_plan_not_weighed
+from hil.planning import recording_bytes, why_plan_not_weighed
 
 LIMIT_TOLERANCE = 1e-9
 CLOCK_TOLERANCE_S = 5.0

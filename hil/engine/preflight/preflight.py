@@ -9,17 +9,14 @@ from pathlib import Path
 from typing import Any
 
 from hil.arms import is_described, load_arm
-from hil.core import plugins
-from hil.core.errors import HilError, PreflightFailed, SpecError
-from hil.core.suggest import did_you_mean
+from hil.core import HilError, PreflightFailed, SpecError, did_you_mean, plugins
 from hil.engine.preflight import plan_checks, robot_checks
 from hil.engine.preflight.check import Check, CheckResult, Context, Situation
-from hil.excitation.workspace import Clearance
-from hil.planning.plan import Plan
-from hil.planning.surroundings import collision_model
-from hil.recording.reserve import BYTES as RESERVE_BYTES
+from hil.excitation import Clearance
+from hil.planning import Plan, collision_model
+from hil.recording import BYTES as RESERVE_BYTES
 from hil.robot import Robot
-from hil.spec.station import StationRobot
+from hil.spec import StationRobot
 
 BUILT_IN: dict[str, Check] = {
     "identity": robot_checks.identity,

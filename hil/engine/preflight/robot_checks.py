@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hil.arms import arm_names, is_described, load_arm
-from hil.core.errors import HilError
+from hil.core import HilError
 from hil.engine.preflight.check import CheckResult, Situation
 from hil.robot import Finding, HasChecks, Robot, Status
 

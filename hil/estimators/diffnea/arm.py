@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.core.typing import FloatArray
-from hil.data.dataset import Dataset
+from hil.core import FloatArray
+from hil.data import Dataset
 from hil.dynamics import BaseParameters, RobotModel
 from hil.estimators.base import chunks, payload_torque
 from hil.estimators.diffnea.forms import Form, spread

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.core.typing import FloatArray
-from hil.dynamics import RobotModel
-from hil.dynamics.inertial import body_parameters
-from hil.dynamics.physical_consistency import (
+from hil.core import FloatArray
+from hil.dynamics import (
+    RobotModel,
+    body_parameters,
     coordinate_jacobian,
     from_coordinates,
     nearest_consistent,

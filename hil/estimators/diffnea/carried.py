@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.typing import FloatArray
+from hil.arms import Payload
+from hil.core import FloatArray
 from hil.estimators.diffnea.arm import DiffneaArm
 from hil.estimators.friction.memory import advanced, carried_step
 from hil.estimators.stream import one_sample

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.estimators.compress import JointwiseQR
 from hil.estimators.diffnea.problem import Problem
 from hil.estimators.diffnea.rows import BendingRows

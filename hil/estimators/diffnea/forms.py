@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.core.typing import BoolArray, FloatArray
+from hil.core import BoolArray, FloatArray
 from hil.estimators.diffnea.motion import ArmMotion, JointMotion
 
 LEAST_SPEED = 1e-9

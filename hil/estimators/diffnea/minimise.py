@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 
 FIRST_DAMPING, MOST_DAMPING = 1e-3, 1e16
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.core.typing import FloatArray
-from hil.data.dataset import Dataset
+from hil.core import FloatArray
+from hil.data import Dataset
 from hil.estimators.diffnea.path import Pieces
 from hil.estimators.friction.memory import path_steps
 

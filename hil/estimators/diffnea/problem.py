@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.estimators.compress import JointwiseQR, upper_triangle
 from hil.estimators.diffnea.minimise import Cost, Local, Minimum, minimise
 from hil.estimators.diffnea.unknowns import Unknowns

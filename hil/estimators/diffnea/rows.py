@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.core.typing import FloatArray, IntArray
+from hil.core import FloatArray, IntArray
 from hil.estimators.diffnea.forms import Form
 from hil.estimators.diffnea.motion import ArmMotion
 from hil.estimators.jointwise import System

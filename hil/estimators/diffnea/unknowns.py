@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import expit
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.dynamics import BaseParameters
 from hil.estimators.diffnea.bodies import Bodies
 from hil.estimators.diffnea.forms import Form

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.estimators.friction.law import FrictionLaw
 from hil.estimators.friction.memory import advanced, carried_step
 from hil.estimators.friction.motion import FrictionMotion

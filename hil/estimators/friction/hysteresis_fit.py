@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.core.typing import FloatArray
-from hil.data.dataset import Dataset
-from hil.data.filters import FilterSettings
+from hil.core import FloatArray
+from hil.data import Dataset, FilterSettings
 from hil.dynamics import BaseParameters, RobotModel
 from hil.estimators.friction.law import FrictionLaw
 from hil.estimators.friction.learning import Training, core_groups, rigid_of

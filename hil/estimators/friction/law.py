@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.estimators.friction.library import Columns, column_names, groups
 from hil.estimators.friction.motion import MULTIPLES, FrictionMotion, Shapes
 

@@ -14,10 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.core.typing import BoolArray, FloatArray, IntArray
-from hil.data.dataset import Conditions, Dataset
-from hil.data.filters import FilterSettings, kept_rows
-from hil.data.parts import rows_to_fit
+from hil.core import BoolArray, FloatArray, IntArray
+from hil.data import Conditions, Dataset, FilterSettings, kept_rows, rows_to_fit
 from hil.dynamics import BaseParameters, RobotModel
 from hil.estimators.base import payload_torque
 from hil.estimators.friction.library import CORE, Columns

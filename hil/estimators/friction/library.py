@@ -20,7 +20,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.estimators.friction.motion import MULTIPLES, FrictionMotion
 
 Columns = Callable[[FrictionMotion], Sequence[FloatArray]]

@@ -15,9 +15,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.core.typing import FloatArray
-from hil.data.dataset import Dataset
-from hil.data.filters import AT_REST
+from hil.core import FloatArray
+from hil.data import AT_REST, Dataset
 
 
 def dahl_states(steps: FloatArray, length: FloatArray) -> FloatArray:

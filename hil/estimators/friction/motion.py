@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.estimators.friction.memory import dahl_slopes, dahl_states
 
 MULTIPLES = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0)

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.core.typing import FloatArray, IntArray
-from hil.data.dataset import Dataset
+from hil.core import FloatArray, IntArray
+from hil.data import Dataset
 from hil.estimators.compress import upper_triangle
 
 MOST_FOLDS = 6

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.core.typing import FloatArray
-from hil.data.dataset import Dataset
-from hil.data.filters import FilterSettings
+from hil.core import FloatArray
+from hil.data import Dataset, FilterSettings
 from hil.estimators.friction.law import FrictionLaw
 from hil.estimators.friction.memory import path_steps
 from hil.estimators.friction.series import motions, smoothed

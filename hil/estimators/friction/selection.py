@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.estimators.friction.library import CORE
 from hil.estimators.friction.observed import Observed
 

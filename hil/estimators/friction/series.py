@@ -6,9 +6,16 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hil.core.typing import FloatArray
-from hil.data.dataset import Conditions, Dataset
-from hil.data.filters import AT_REST, FilterSettings, nyquist_fraction, sample_rate, zero_phase
+from hil.core import FloatArray
+from hil.data import (
+    AT_REST,
+    Conditions,
+    Dataset,
+    FilterSettings,
+    nyquist_fraction,
+    sample_rate,
+    zero_phase,
+)
 from hil.estimators.friction.motion import FrictionMotion, Shapes
 
 

@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.estimators.friction.motion import FrictionMotion, Shapes
 from hil.estimators.friction.varpro import variable_projection
 

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.dynamics import BaseParameters
 from hil.estimators.compress import JointwiseQR
 from hil.estimators.consistent import consistent_least_squares

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 
 Columns = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 """θ (p,) → F (N, k) and its derivatives (p, N, k)."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.excitation.optimiser.linear_limits import LinearLimits
 from hil.excitation.optimiser.motion_limits import MotionLimits
 

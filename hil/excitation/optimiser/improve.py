@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.excitation.optimiser.linear_limits import LinearLimits
 from hil.excitation.optimiser.motion_limits import TOLERATED, MotionLimits
 from hil.excitation.optimiser.program import ALLOWED, Point, Proposal, StepProgram

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hil.core.typing import FloatArray, IntArray
+from hil.core import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from hil.excitation.optimiser.problem import ExcitationProblem

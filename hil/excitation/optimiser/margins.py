@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.excitation.motion import FourierSeries
 from hil.excitation.optimiser.linear_limits import POINTS_PER_HARMONIC
 from hil.excitation.optimiser.motion_limits import DistanceLimit, Motion, torques

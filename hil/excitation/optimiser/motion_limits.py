@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
-from hil.core.typing import FloatArray, IntArray
+from hil.core import FloatArray, IntArray
 from hil.excitation.optimiser.linear_limits import POINTS_PER_HARMONIC
 
 if TYPE_CHECKING:
-    from hil.dynamics.robot_model import RobotModel
+    from hil.dynamics import RobotModel
     from hil.excitation.optimiser.problem import Distances, ExcitationProblem
 
 DISTANCE_SCALE_M = 0.1

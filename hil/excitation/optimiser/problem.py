@@ -9,14 +9,11 @@ from typing import TYPE_CHECKING, Literal, Protocol
 
 import numpy as np
 
-from hil.core.errors import PlanError
-from hil.core.typing import BoolArray, FloatArray
+from hil.core import BoolArray, FloatArray, PlanError
 from hil.excitation.optimiser.series_basis import SeriesBasis
 
 if TYPE_CHECKING:
-    from hil.dynamics.base import BaseParameters
-    from hil.dynamics.identification_columns import IdentificationColumns
-    from hil.dynamics.robot_model import RobotModel
+    from hil.dynamics import BaseParameters, IdentificationColumns, RobotModel
     from hil.excitation.motion import FourierSeries
 
 Objective = Literal["condition", "log_det"]
@@ -115,7 +112,7 @@ class ExcitationProblem:
     @cached_property
     def columns(self) -> IdentificationColumns:
         """The parameters that are to be identified."""
-        from hil.dynamics.identification_columns import IdentificationColumns
+        from hil.dynamics import IdentificationColumns
 
         return IdentificationColumns(
             self.robot,

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.core.typing import FloatArray, IntArray
+from hil.core import FloatArray, IntArray
 from hil.excitation.optimiser.linear_limits import LinearLimits, peaks
 from hil.excitation.optimiser.motion_limits import MotionLimits
 from hil.excitation.optimiser.quadratic import Step, damped_update, solve_step

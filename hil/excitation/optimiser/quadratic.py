@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 
 TOLERANCE = 1e-8
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.excitation.motion import FourierSeries
 
 ROUNDING = 1e-9

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy.linalg
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.excitation.motion import FourierSeries
 
 

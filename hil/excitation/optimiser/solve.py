@@ -6,8 +6,7 @@ import time
 
 import numpy as np
 
-from hil.core.errors import PlanError
-from hil.core.typing import FloatArray
+from hil.core import FloatArray, PlanError
 from hil.excitation.optimiser.draw import draw
 from hil.excitation.optimiser.improve import Search
 from hil.excitation.optimiser.linear_limits import LinearLimits
@@ -179,7 +178,7 @@ class _Tale:
 def _result(
     problem: ExcitationProblem, free: FloatArray, starts: tuple[Start, ...], cpu_s: float
 ) -> Optimised:
-    from hil.dynamics.base import conditioning
+    from hil.dynamics import conditioning
 
     series = problem.basis.series(free, problem.periods)
     information = problem.information(series)

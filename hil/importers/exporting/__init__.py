@@ -7,9 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import DataError, RecordingError
-from hil.core.files import json_document, write_once
-from hil.core.suggest import did_you_mean
+from hil.core import DataError, RecordingError, did_you_mean, json_document, write_once
 from hil.importers.exporting.files import csv_file, npz_file, parquet_file
 from hil.importers.exporting.import_map import import_map, why_no_map
 from hil.importers.exporting.table import Table, table_of

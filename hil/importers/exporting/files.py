@@ -10,9 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.core import plugins
-from hil.core.errors import RecordingError
-from hil.core.files import fsync_directory, json_line
+from hil.core import RecordingError, fsync_directory, json_line, plugins
 from hil.importers.exporting.table import Table
 
 _ROWS = 20_000

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from hil.data.dataset import UPRIGHT, Dataset
+from hil.data import UPRIGHT, Dataset
 from hil.importers.exporting.table import Table, flat_name, load_of
 from hil.importers.import_map import QUANTITIES
 

@@ -10,11 +10,11 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.arms.payload import Payload
-from hil.core.files import read_json, sha256_of
-from hil.data.dataset import Conditions, Dataset
+from hil.arms import Payload
+from hil.core import read_json, sha256_of
+from hil.data import Conditions, Dataset
 from hil.importers.load import serial_of
-from hil.recording.provenance import package_versions, utc_now
+from hil.recording import package_versions, utc_now
 
 Values: TypeAlias = NDArray[Any]
 

@@ -9,13 +9,9 @@ from pathlib import Path
 
 import yaml
 
-from hil.core.errors import SpecError
-from hil.core.quick_yaml import require_bounded
-from hil.core.suggest import closest
-from hil.planning.experiment import Experiment, find_station
-from hil.spec.fleet import load_fleet_spec
-from hil.spec.load import resolve_robot, spec_from_text
-from hil.spec.station import Station
+from hil.core import SpecError, closest, require_bounded
+from hil.planning import Experiment, find_station
+from hil.spec import Station, load_fleet_spec, resolve_robot, spec_from_text
 
 FEW = 12
 """Of the names of robots a hint lists."""

@@ -7,11 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import HilError
-from hil.models.drift.history import Probe, assess
-from hil.models.fleet_folder import FleetFolder, completed
-from hil.models.fleet_robot_fit import robot_of
-from hil.models.registry import Registry
+from hil.core import HilError
+from hil.models import FleetFolder, Probe, Registry, assess, completed, robot_of
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,14 +8,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from hil.core import errors
-from hil.core.errors import HilError, Rejected, RobotError, Stopped, exit_code_of
-from hil.estimators.model_folder import models_below
-from hil.evaluation.run_verdict import verdict_word
+from hil.core import HilError, Rejected, RobotError, Stopped, errors, exit_code_of
+from hil.estimators import models_below
+from hil.evaluation import verdict_word
 from hil.maintenance.fleet.workers import Manner, Workers
-from hil.models.fleet_folder import FleetFolder
-from hil.recording.rundir import RunDirectory
-from hil.workflow.series import Ended
+from hil.models import FleetFolder
+from hil.recording import RunDirectory
+from hil.workflow import Ended
 
 Document = dict[str, Any]
 Tell = Callable[[Ended, int, int], object]

@@ -12,15 +12,11 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hil.core.errors import HilError
-from hil.core.executor import one_thread
+from hil.core import HilError, one_thread
 
 if TYPE_CHECKING:
-    from hil.planning.experiment import Experiment
-    from hil.workflow.arming import Together
-    from hil.workflow.confirmation import Confirm
-    from hil.workflow.desk import Desk
-    from hil.workflow.run import RunReport
+    from hil.planning import Experiment
+    from hil.workflow import Confirm, Desk, RunReport, Together
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,12 +72,15 @@ def _told(error: HilError) -> dict[str, Any]:
 
 
 def _run(job: Job) -> RunReport:
-    from hil.engine.pausing import nobody_goes_on
-    from hil.recording.rundir import RunDirectory
-    from hil.workflow.confirmation import Unconfirmed
-    from hil.workflow.desk import console_desk
-    from hil.workflow.driver_check import check_driver
-    from hil.workflow.run import resume_experiment, run_experiment
+    from hil.engine import nobody_goes_on
+    from hil.recording import RunDirectory
+    from hil.workflow import (
+        Unconfirmed,
+        check_driver,
+        console_desk,
+        resume_experiment,
+        run_experiment,
+    )
 
     def desk(confirm: Confirm | None) -> Desk:
         refused = Unconfirmed("start it with: hil fleet run")

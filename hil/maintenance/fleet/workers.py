@@ -14,11 +14,10 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
-from hil.engine.signals import WATCHED
+from hil.engine import WATCHED
 from hil.maintenance.fleet.worker import Job, work
-from hil.models.fleet_folder import FleetFolder
-from hil.workflow.arming import Together
-from hil.workflow.series import Ended
+from hil.models import FleetFolder
+from hil.workflow import Ended, Together
 
 Document = dict[str, Any]
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from hil.planning.experiment import Experiment
+from hil.planning import Experiment
 
 
 def with_options(experiment: Experiment, options: Mapping[str, Any]) -> Experiment:

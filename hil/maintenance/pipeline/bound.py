@@ -5,17 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from hil.core.errors import SpecError
-from hil.core.source import Path as SourcePath
-from hil.core.source import Problem, Source, dotted
-from hil.core.yaml_source import read_source
+from hil.core import Path as SourcePath
+from hil.core import Problem, Source, SpecError, dotted, read_source
 from hil.maintenance.pipeline.fitting_together import problems as problems_of
 from hil.maintenance.pipeline.fitting_together import wanted
-from hil.planning.experiment import Experiment, load_experiment
-from hil.spec.experiment import Fit
-from hil.spec.schedule import ScheduleSpec, load_schedule_spec
-from hil.workflow.arming import Moves
-from hil.workflow.driver_check import check_driver
+from hil.planning import Experiment, load_experiment
+from hil.spec import Fit, ScheduleSpec, load_schedule_spec
+from hil.workflow import Moves, check_driver
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,9 +13,8 @@ from hil.maintenance.pipeline.reidentify import reidentification
 from hil.maintenance.pipeline.stages import kept_document
 from hil.maintenance.schedule.ledger import kept, occasion_of
 from hil.maintenance.schedule.occasion import Job, Occasion
-from hil.models.registry import Registry
-from hil.workflow.arming import require_armed
-from hil.workflow.extras import require_extras
+from hil.models import Registry
+from hil.workflow import require_armed, require_extras
 
 STATES = Path("schedules")
 """Where schedules keep their state, a folder each, unless somebody names another."""

@@ -12,8 +12,7 @@ from pathlib import Path
 
 from hil.maintenance.pipeline.earlier import earlier_probes
 from hil.maintenance.pipeline.stages import Document
-from hil.models.log import Entry
-from hil.models.registry import Registry
+from hil.models import Entry, Registry
 
 
 def decided(registry: Registry, name: str, key: str, number: int) -> Entry | None:
@@ -92,7 +91,7 @@ class Decision:
 
     def _challenge(self) -> None:
         """The campaign's criteria speak of its own held-out motions, and are met there."""
-        from hil.models.promotion import challenge
+        from hil.models import challenge
 
         done = self.done
         taken = [done[stage].get("run") for stage in ("campaign", "probe", "check")]

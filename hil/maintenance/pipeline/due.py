@@ -12,10 +12,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from hil.core.errors import FitError
-from hil.core.files import read_json
-from hil.estimators.base import HONEST
-from hil.estimators.model_folder import models_below
+from hil.core import FitError, read_json
+from hil.estimators import HONEST, models_below
 from hil.maintenance.pipeline.bound import Bound
 from hil.maintenance.pipeline.deciding import Decision, decided
 from hil.maintenance.pipeline.fitting_together import not_honest
@@ -23,10 +21,10 @@ from hil.maintenance.pipeline.measuring import Measuring
 from hil.maintenance.pipeline.outcome import errors_on, summary
 from hil.maintenance.pipeline.stages import Document, Stage
 from hil.maintenance.schedule.occasion import Occasion
-from hil.models.registry import Registry
-from hil.planning.experiment import Experiment
-from hil.recording.provenance import utc_now
-from hil.spec.hashing import spec_hash
+from hil.models import Registry
+from hil.planning import Experiment
+from hil.recording import utc_now
+from hil.spec import spec_hash
 
 Adapt = Callable[[Experiment, Occasion, str], Experiment]
 """The experiment as it is done at an occasion, for its stage `probe`, `campaign` or `check`."""
@@ -100,7 +98,7 @@ class Due:
 
     def drift(self, done: Done) -> Document:
         """Whether the probe shows a change, and which."""
-        from hil.models.drift.history import assess
+        from hil.models import assess
 
         if SKIPPED in done["probe"]:
             return done["probe"]
@@ -155,7 +153,7 @@ class Due:
 
     def register(self, done: Done) -> Document:
         """The model as a version, to be compared with the champion."""
-        from hil.models.facts import facts_of
+        from hil.models import facts_of
 
         if SKIPPED in done["fit"]:
             return done["fit"]

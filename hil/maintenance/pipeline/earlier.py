@@ -8,9 +8,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hil.models.drift.history import probes_of
-from hil.models.registry import Registry
-from hil.recording.parts import recordings_in
+from hil.models import Registry, probes_of
+from hil.recording import recordings_in
 
 MOST = 5
 

@@ -5,16 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from math import gcd
 
-from hil.core.errors import PluginError, SpecError
-from hil.core.source import Path as SourcePath
-from hil.estimators.base import HONEST, estimator
-from hil.models.blocks import BLOCK_S
-from hil.models.compare import FEWEST_BLOCKS
-from hil.models.drift.features import DRIFT_BLOCK_S, FEWEST_DRIFT_BLOCKS
-from hil.planning.experiment import Experiment
-from hil.spec.experiment import ExperimentSpec, Fit, Fourier
-from hil.spec.schedule import ScheduleSpec
-from hil.workflow.driver_check import check_driver
+from hil.core import Path as SourcePath
+from hil.core import PluginError, SpecError
+from hil.estimators import HONEST, estimator
+from hil.models import BLOCK_S, DRIFT_BLOCK_S, FEWEST_BLOCKS, FEWEST_DRIFT_BLOCKS
+from hil.planning import Experiment
+from hil.spec import ExperimentSpec, Fit, Fourier, ScheduleSpec
+from hil.workflow import check_driver
 
 Finding = tuple[SourcePath, str]
 """Where in the schedule, and what is wrong there."""

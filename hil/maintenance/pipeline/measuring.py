@@ -13,23 +13,25 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import HilError, RobotError, Stopped, exit_code_of
-from hil.engine import Observer
-from hil.engine.pausing import nobody_goes_on
-from hil.planning.experiment import Experiment
-from hil.planning.robots import held, opened
-from hil.recording.numbering import run_folders
-from hil.recording.rundir import RunDirectory
+from hil.core import HilError, RobotError, Stopped, exit_code_of
+from hil.engine import Observer, nobody_goes_on
+from hil.planning import Experiment, held, opened
+from hil.recording import RunDirectory, run_folders
 from hil.robot import address_of
-from hil.spec.experiment import StudyEntry
-from hil.spec.hashing import spec_hash
-from hil.workflow.beginning import describe_robot, whole
-from hil.workflow.confirmation import Confirm, Unconfirmed
-from hil.workflow.console import Console
-from hil.workflow.desk import Desk
-from hil.workflow.operator import ConsoleOperator
-from hil.workflow.resuming import require_same_robot
-from hil.workflow.run import RunReport, resume_experiment, run_experiment
+from hil.spec import StudyEntry, spec_hash
+from hil.workflow import (
+    Confirm,
+    Console,
+    ConsoleOperator,
+    Desk,
+    RunReport,
+    Unconfirmed,
+    describe_robot,
+    require_same_robot,
+    resume_experiment,
+    run_experiment,
+    whole,
+)
 
 BY_SIGNAL = exit_code_of(Stopped("", by_signal=True))
 
@@ -147,7 +149,7 @@ def _complete_views(run: Path, entries: Sequence[StudyEntry]) -> None:
     if RunDirectory(run).is_reported:
         return
     from hil.report import render_report
-    from hil.workflow.studies import missing_studies, run_studies
+    from hil.workflow import missing_studies, run_studies
 
     with contextlib.suppress(HilError):  # a study that fails does not invalidate the run
         run_studies(run, missing_studies(run, entries))

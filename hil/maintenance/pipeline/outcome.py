@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hil.maintenance.pipeline.stages import Document
-from hil.models.registry import Registry
+from hil.models import Registry
 
 if TYPE_CHECKING:
     from hil.evaluation import Evaluation
@@ -71,9 +71,8 @@ def errors_on(registry: Registry, name: str, done: Done) -> Document | None:
 
 
 def _on(registry: Registry, name: str, label: str, run: Path) -> Evaluation:
-    from hil.evaluation import evaluate
-    from hil.evaluation.fitting import usable_part
-    from hil.importers.load import load_source
+    from hil.evaluation import evaluate, usable_part
+    from hil.importers import load_source
 
     model = registry.load(name, label)
     return evaluate(model, usable_part(load_source(run), model))

@@ -12,10 +12,10 @@ from hil.maintenance.pipeline.due import Adapt, Due
 from hil.maintenance.pipeline.measuring import Measuring
 from hil.maintenance.pipeline.stages import Document, run_stages
 from hil.maintenance.schedule.occasion import Occasion, Work
-from hil.models.registry import Registry
-from hil.planning.experiment import Experiment
-from hil.spec.schedule import ScheduleSpec
-from hil.workflow.confirmation import Confirm, Unconfirmed
+from hil.models import Registry
+from hil.planning import Experiment
+from hil.spec import ScheduleSpec
+from hil.workflow import Confirm, Unconfirmed
 
 
 def as_it_is(experiment: Experiment, occasion: Occasion, stage: str) -> Experiment:

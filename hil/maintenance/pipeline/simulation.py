@@ -19,11 +19,9 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.errors import SpecError
-from hil.core.files import json_document, write_replacing
-from hil.core.typing import FloatArray
-from hil.evaluation.fitting import usable_part
-from hil.importers.load import load_source
+from hil.core import FloatArray, SpecError, json_document, write_replacing
+from hil.evaluation import usable_part
+from hil.importers import load_source
 from hil.maintenance.pipeline.adapted import with_options
 from hil.maintenance.pipeline.bound import Bound, bind
 from hil.maintenance.pipeline.measuring import run_of
@@ -34,11 +32,9 @@ from hil.maintenance.schedule.loop import Line, Scheduler
 from hil.maintenance.schedule.motions import Motions, motions, require_room
 from hil.maintenance.schedule.occasion import Occasion, Work
 from hil.maintenance.schedule.times import begin_of
-from hil.models.drift.warmth import friction_change
-from hil.models.registry import Registry
-from hil.planning.experiment import Experiment
-from hil.planning.robots import opened
-from hil.spec.schedule import ScheduleSpec
+from hil.models import Registry, friction_change
+from hil.planning import Experiment, opened
+from hil.spec import ScheduleSpec
 
 DOCUMENT, PAGE = "simulation.json", "report.html"
 FORMAT = 1

@@ -16,9 +16,8 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import RecordingError
-from hil.core.files import json_document, json_line, sha256_of
-from hil.estimators.model_file import write_whole
+from hil.core import RecordingError, json_document, json_line, sha256_of
+from hil.estimators import write_whole
 
 Document = dict[str, Any]
 Do = Callable[[Mapping[str, Document]], Mapping[str, Any]]

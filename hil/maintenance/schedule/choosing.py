@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from itertools import takewhile
 
-from hil.core.durations import duration_text
+from hil.core import duration_text
 from hil.maintenance.schedule.ledger import Standing
 from hil.maintenance.schedule.occasion import Occasion
 from hil.maintenance.schedule.times import occasions
-from hil.spec.schedule import ScheduleSpec
+from hil.spec import ScheduleSpec
 
 PUNCTUAL = timedelta(minutes=10)
 """What begins so long after it was due is on time: timers call every few minutes only."""

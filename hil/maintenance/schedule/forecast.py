@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 from zoneinfo import ZoneInfo
 
-from hil.core.durations import duration_text
+from hil.core import duration_text
 from hil.maintenance.schedule.clocks import VirtualClock
 from hil.maintenance.schedule.holding import ahead, release
 from hil.maintenance.schedule.ledger import Ledger, Line, occasion_of
@@ -17,7 +17,7 @@ from hil.maintenance.schedule.loop import Scheduler
 from hil.maintenance.schedule.motions import Motions
 from hil.maintenance.schedule.occasion import Occasion
 from hil.maintenance.schedule.times import begin_of, dues
-from hil.spec.schedule import ScheduleSpec
+from hil.spec import ScheduleSpec
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from datetime import datetime, timedelta
 
-from hil.core.errors import DataError, InterlockTripped, RobotConnectionError, RobotError, Stopped
+from hil.core import DataError, InterlockTripped, RobotConnectionError, RobotError, Stopped
 from hil.maintenance.schedule.ledger import Ledger, Line, Standing, time_text
-from hil.recording.provenance import operator
+from hil.recording import operator
 
 AHEAD = timedelta(days=1)
 """A ledger so far ahead of the clock was written with another clock; no time zone is so far off."""

@@ -25,13 +25,18 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, get_args
 
-from hil.core.errors import DataError, RecordingError, RegistryError
-from hil.core.files import json_line
-from hil.core.held_file import hold
-from hil.core.holder import Holder, this_process
-from hil.core.text import json_text
+from hil.core import (
+    DataError,
+    Holder,
+    RecordingError,
+    RegistryError,
+    hold,
+    json_line,
+    json_text,
+    this_process,
+)
 from hil.maintenance.schedule.occasion import Job, Occasion
-from hil.models.log import append_line, read_lines
+from hil.models import append_line, read_lines
 
 LEDGER_FILE, OCCASIONS, LOCK = "ledger.jsonl", "occasions", ".lock"
 

@@ -12,13 +12,13 @@ from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from typing import Any, Protocol
 
-from hil.core.errors import HilError, RobotConnectionError, Stopped
+from hil.core import HilError, RobotConnectionError, Stopped
 from hil.maintenance.schedule.choosing import choose, late_words, lateness
 from hil.maintenance.schedule.holding import ahead, needs_a_look
 from hil.maintenance.schedule.ledger import Ledger, time_text
 from hil.maintenance.schedule.occasion import Job, Occasion, Work
 from hil.maintenance.schedule.times import Window, next_free, occasions, window_in
-from hil.spec.schedule import ScheduleSpec
+from hil.spec import ScheduleSpec
 
 LOOK_AGAIN = timedelta(seconds=60)
 """What was put off for the robot's sake is tried again so often."""

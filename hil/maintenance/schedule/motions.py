@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 
-from hil.core.durations import duration_text
-from hil.core.errors import SpecError
+from hil.core import SpecError, duration_text
 from hil.maintenance.schedule.occasion import Job
 from hil.maintenance.schedule.times import next_free
-from hil.planning.experiment import Experiment
-from hil.spec.schedule import ScheduleSpec
+from hil.planning import Experiment
+from hil.spec import ScheduleSpec
 
 ALLOWANCE = 1.1
 """Share of a plan's time that settling and pauses of the controller may add to it."""
@@ -51,7 +50,7 @@ def motions(spec: ScheduleSpec, probe: Experiment | None, campaign: Experiment) 
     Raises:
         PlanError: No safe plan follows from one of them.
     """
-    from hil.workflow.preview import preview_experiment
+    from hil.workflow import preview_experiment
 
     short, full = (
         timedelta(seconds=round(preview_experiment(each)[1].duration_s)) if each else timedelta()

@@ -10,8 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from hil.core.holder import plain
-from hil.core.text import json_text
+from hil.core import json_text, plain
 
 WITHIN_S = 60.0
 

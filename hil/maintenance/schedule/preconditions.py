@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from hil.core.errors import HilError
-from hil.planning.experiment import Experiment
+from hil.core import HilError
+from hil.planning import Experiment
 
 if TYPE_CHECKING:
     from hil.robot import Robot
@@ -33,8 +33,8 @@ class RobotReady:
 
     def __call__(self) -> str:
         """Ask."""
-        from hil.planning.robots import held
-        from hil.workflow.driver_check import check_driver
+        from hil.planning import held
+        from hil.workflow import check_driver
 
         try:
             if check_driver(self.experiment).clock == "virtual":
@@ -51,7 +51,7 @@ def _trouble(robot: Robot) -> str:
     """What keeps a connected robot from being moved."""
     import numpy as np
 
-    from hil.engine.preflight.robot_checks import REST_RAD_S, own_checks
+    from hil.engine import REST_RAD_S, own_checks
     from hil.robot import Status
 
     state = robot.read()[-1]

@@ -9,9 +9,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from hil.core.errors import RecordingError, SpecError
-from hil.core.files import write_replacing
-from hil.core.holder import user_name
+from hil.core import RecordingError, SpecError, user_name, write_replacing
 
 CALL_EVERY_MIN = 5
 """The timer calls so often; what is due is the schedule's to say, and not twice."""

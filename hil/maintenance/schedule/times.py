@@ -17,7 +17,7 @@ from typing import Any
 from zoneinfo import ZoneInfo
 
 from hil.maintenance.schedule.occasion import Job, Occasion
-from hil.spec.schedule import Blackout, ScheduleSpec, Trigger
+from hil.spec import Blackout, ScheduleSpec, Trigger
 
 _DAYS = ("mon", "tue", "wed", "thu", "fri", "sat", "sun")
 _MINUTE, _DAY = timedelta(minutes=1), timedelta(days=1)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.models.drift.chart import Charted
 from hil.models.drift.features import (UNITS, Features)
 

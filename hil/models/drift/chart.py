@@ -20,8 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import t as student
 
-from hil.core.errors import DataError
-from hil.core.typing import BoolArray, FloatArray
+from hil.core import DataError
+from hil.core import (BoolArray, FloatArray)
 from hil.models.drift.features import Features
 
 FALSE_ALARM = 0.01

@@ -19,11 +19,11 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.errors import DataError
-from hil.core.typing import BoolArray, FloatArray
-from hil.data.dataset import Dataset
-from hil.estimators.base import RobotEstimator
-from hil.evaluation.evaluation import filtered_effort
+from hil.core import DataError
+from hil.core import (BoolArray, FloatArray)
+from hil.data import Dataset
+from hil.estimators import RobotEstimator
+from hil.evaluation import filtered_effort
 
 JOINT_FEATURES = ("friction", "gain", "offset")
 LOAD_FEATURES = ("mass", "mass·x", "mass·y", "mass·z")

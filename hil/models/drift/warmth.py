@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.core.errors import DataError
-from hil.core.typing import FloatArray
-from hil.data.dataset import Dataset
-from hil.estimators.base import RobotEstimator
+from hil.core import DataError
+from hil.core import FloatArray
+from hil.data import Dataset
+from hil.estimators import RobotEstimator
 
 
 def friction_change(

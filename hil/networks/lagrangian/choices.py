@@ -6,10 +6,9 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from hil.core.errors import SpecError
-from hil.data.dataset import Dataset
-from hil.data.filters import FilterSettings, motion_rates
-from hil.estimators.parameters import settings
+from hil.core import SpecError
+from hil.data import Dataset, FilterSettings, motion_rates
+from hil.estimators import settings
 from hil.networks.lagrangian.friction_settings import FrictionKind, FrictionSettings
 from hil.networks.lagrangian.settings import NetworkSettings
 from hil.networks.training_loop.settings import TrainingSettings

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.core.typing import FloatArray, IntArray
-from hil.data.dataset import Dataset
+from hil.core import FloatArray, IntArray
+from hil.data import Dataset
 from hil.dynamics import RobotModel, base_parameters
-from hil.estimators.base import CHUNK
-from hil.estimators.friction.memory import dahl_states, path_steps
+from hil.estimators import CHUNK, dahl_states, path_steps
 
 DIRECTION = "direction"
 """Column (N, n) of a dataset: the smooth sign of the motion, or Dahl's state."""

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.networks.lagrangian.friction_settings import FrictionSettings
 
 LEAST_REST_SPEED = 1e-4

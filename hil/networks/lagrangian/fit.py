@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from hil.core.errors import FitError
+from hil.core import FitError
 from hil.networks.lagrangian.choices import Design
 from hil.networks.lagrangian.model import NetworkModel
 from hil.networks.lagrangian.stored import weights_of

@@ -7,15 +7,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.errors import DataError
-from hil.core.typing import FloatArray
-from hil.data.dataset import Dataset
-from hil.data.filters import FilterSettings
-from hil.data.prediction import Prediction, Stream
-from hil.estimators.base import RobotEstimator, payload_torque, prepared
-from hil.estimators.checks import require_sizes
-from hil.estimators.friction_curve import COULOMB, OFFSET, STATIC, VISCOUS, FrictionCurve
+from hil.arms import Payload
+from hil.core import DataError, FloatArray
+from hil.data import Dataset, FilterSettings, Prediction, Stream
+from hil.estimators import (
+    COULOMB,
+    OFFSET,
+    STATIC,
+    VISCOUS,
+    FrictionCurve,
+    RobotEstimator,
+    payload_torque,
+    prepared,
+    require_sizes,
+)
 from hil.networks.lagrangian.choices import Design
 from hil.networks.lagrangian.direction import smooth_sign
 from hil.networks.lagrangian.task import MOTION, directions

@@ -14,8 +14,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from hil.core.typing import FloatArray
-from hil.estimators.parameters import choice
+from hil.core import FloatArray
+from hil.estimators import choice
 from hil.networks.lagrangian.dissipative import Dissipative, NoFriction, Unconstrained
 from hil.networks.lagrangian.friction_settings import FRICTIONS, FrictionKind, FrictionSettings
 from hil.networks.lagrangian.intrinsic import Between, Free, NotNegative

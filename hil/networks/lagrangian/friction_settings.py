@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from typing import Any, Literal, TypeAlias
 
-from hil.core.errors import SpecError
-from hil.estimators.parameters import choice, flag, number, require_known, whole
+from hil.core import SpecError
+from hil.estimators import choice, flag, number, require_known, whole
 
 FrictionKind: TypeAlias = Literal["none", "coulomb", "stribeck", "dissipative", "unconstrained"]
 

@@ -11,7 +11,7 @@ import math
 import torch
 from torch import Tensor, nn
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 
 SHARPNESS = 4.0
 """Of the softplus: a coefficient about its unit moves 0.98 times as fast as its parameter."""

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from torch import Tensor, nn
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.networks.lagrangian.choices import Design
 from hil.networks.lagrangian.friction import friction_network
 from hil.networks.lagrangian.network import LagrangianNetwork

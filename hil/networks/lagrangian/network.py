@@ -18,8 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from hil.core.errors import SpecError
-from hil.core.typing import FloatArray
+from hil.core import FloatArray, SpecError
 from hil.networks.lagrangian.mass import Factor, times
 from hil.networks.lagrangian.settings import NetworkSettings
 from hil.networks.lagrangian.trunk import Tape, Trunk

@@ -7,9 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
-from hil.core.typing import FloatArray
-from hil.estimators.friction.memory import advanced, carried_step
-from hil.estimators.stream import one_sample
+from hil.core import FloatArray
+from hil.estimators import advanced, carried_step, one_sample
 from hil.networks.lagrangian.direction import smooth_sign
 from hil.networks.lagrangian.model import NetworkModel, Torques
 from hil.networks.training_loop.device import reproducible

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from hil.estimators.parameters import Whole
+from hil.estimators import Whole
 
 Activation = Literal["softplus", "relu", "tanh", "silu"]
 Gain = Annotated[float, Field(gt=0.0, le=10.0, allow_inf_nan=False)]

@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from torch import nn
 
-from hil.core.typing import FloatArray
-from hil.estimators.array_names import with_prefix, without_prefix
+from hil.core import FloatArray
+from hil.estimators import with_prefix, without_prefix
 from hil.networks.lagrangian.choices import Design
 from hil.networks.lagrangian.model import NetworkModel
 

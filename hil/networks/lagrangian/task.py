@@ -6,12 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.core.typing import BoolArray, FloatArray
-from hil.data.dataset import Dataset, rows_of
-from hil.data.filters import FilterSettings, downsample
-from hil.data.parts import learn_and_validate, rows_to_fit
+from hil.core import BoolArray, FloatArray
+from hil.data import Dataset, FilterSettings, downsample, learn_and_validate, rows_of, rows_to_fit
 from hil.dynamics import RobotModel
-from hil.estimators.base import payload_torque
+from hil.estimators import payload_torque
 from hil.networks.lagrangian.direction import (
     DIRECTION,
     carried_directions,

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from hil.core.typing import BoolArray, FloatArray
-from hil.data.dataset import Dataset
+from hil.core import BoolArray, FloatArray
+from hil.data import Dataset
 from hil.networks.lagrangian.direction import DIRECTION
 
 MOTION = ("q_f", "qd_f", "qdd_f", DIRECTION)

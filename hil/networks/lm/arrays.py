@@ -7,8 +7,7 @@ from typing import Any, Literal, Protocol, TypeAlias
 import numpy as np
 from scipy.linalg import blas, lapack
 
-from hil.core.errors import SpecError
-from hil.core.typing import BoolArray, FloatArray
+from hil.core import BoolArray, FloatArray, SpecError
 
 Array: TypeAlias = Any
 """A numpy array or a torch tensor."""

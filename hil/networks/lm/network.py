@@ -16,8 +16,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from hil.core.errors import SpecError
-from hil.core.typing import FloatArray
+from hil.core import FloatArray, SpecError
 from hil.networks.lm.arrays import Array, Arrays, numpy_arrays
 from hil.networks.lm.linearised import Linearised
 

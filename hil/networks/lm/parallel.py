@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from hil.core.typing import FloatArray
-from hil.estimators.parameters import whole
+from hil.core import FloatArray
+from hil.estimators import whole
 from hil.networks.lm.network import Mlp
 from hil.networks.lm.rows import Rows
 from hil.networks.lm.scaling import Scaling

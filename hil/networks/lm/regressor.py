@@ -9,7 +9,7 @@ import numpy as np
 from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.networks.lm.network import Mlp
 from hil.networks.lm.rows import equal_inputs
 from hil.networks.lm.train import train

@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.errors import FitError
-from hil.core.typing import FloatArray, IntArray
+from hil.core import FitError, FloatArray, IntArray
 
 MOST_SPREAD = 0.05
 """Within groups an input may vary by this share of its deviation: noise, a step of a thermometer.

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.core.errors import FitError
-from hil.core.typing import FloatArray
+from hil.core import FitError, FloatArray
 from hil.networks.lm.rows import Rows
 
 CONSTANT = 1e-12

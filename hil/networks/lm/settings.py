@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields
 from typing import Any, get_args
 
-from hil.core.errors import SpecError
-from hil.estimators.parameters import choice, number, require_known, whole
+from hil.core import SpecError
+from hil.estimators import choice, number, require_known, whole
 from hil.networks.lm.arrays import Precision
 from hil.networks.lm.steps import Solver
 

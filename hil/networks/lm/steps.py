@@ -14,7 +14,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from hil.core.typing import BoolArray, FloatArray
+from hil.core import BoolArray, FloatArray
 from hil.networks.lm.arrays import Array, Arrays
 from hil.networks.lm.linearised import Linearised
 from hil.networks.lm.network import Mlp

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from hil.core.errors import SpecError
-from hil.core.typing import BoolArray, FloatArray
+from hil.core import BoolArray, FloatArray, SpecError
 from hil.networks.lm.arrays import Array, Precision, rows_last
 
 

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.errors import FitError, SpecError
-from hil.core.typing import FloatArray
+from hil.core import FitError, FloatArray, SpecError
 from hil.networks.lm.network import Mlp
 from hil.networks.lm.parallel import Task, run_all
 from hil.networks.lm.rows import checked_rows, require_alike

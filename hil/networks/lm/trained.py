@@ -8,7 +8,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil.networks.lm.network import Mlp
 from hil.networks.lm.scaling import Scaling
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.core.errors import FitError
-from hil.core.typing import BoolArray, FloatArray
+from hil.core import BoolArray, FitError, FloatArray
 from hil.networks.lm.arrays import Arrays, arrays_on
 from hil.networks.lm.network import Mlp, Pass
 from hil.networks.lm.rows import Rows

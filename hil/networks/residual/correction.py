@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.typing import BoolArray, FloatArray
-from hil.data.dataset import Dataset
-from hil.estimators.array_names import with_prefix, without_prefix
+from hil.core import BoolArray, FloatArray
+from hil.data import Dataset
+from hil.estimators import with_prefix, without_prefix
 from hil.networks.residual.fit import in_motion
 from hil.networks.residual.motions import Motions
 from hil.networks.residual.settings import ResidualSettings

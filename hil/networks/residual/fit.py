@@ -13,12 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.core.errors import DataError, FitError
-from hil.core.typing import BoolArray, FloatArray, IntArray
-from hil.data.dataset import Dataset
-from hil.data.filters import AT_REST
-from hil.data.parts import learn_and_validate
-from hil.data.splits import group_of
+from hil.core import BoolArray, DataError, FitError, FloatArray, IntArray
+from hil.data import AT_REST, Dataset, group_of, learn_and_validate
 from hil.networks.residual.motions import Motions, one_rate
 from hil.networks.residual.out_of_fold import Physics
 from hil.networks.residual.settings import ResidualSettings

@@ -6,16 +6,17 @@ from typing import Any
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.errors import FitError
-from hil.core.typing import FloatArray
-from hil.data.dataset import Dataset
-from hil.data.filters import FilterSettings
-from hil.data.prediction import Prediction, Stream
-from hil.estimators.base import RobotEstimator, prepared
-from hil.estimators.conformal import SpeedBands
-from hil.estimators.friction_curve import FrictionCurve, HasFrictionCurve
-from hil.estimators.parameters import whole
+from hil.arms import Payload
+from hil.core import FitError, FloatArray
+from hil.data import Dataset, FilterSettings, Prediction, Stream
+from hil.estimators import (
+    FrictionCurve,
+    HasFrictionCurve,
+    RobotEstimator,
+    SpeedBands,
+    prepared,
+    whole,
+)
 from hil.networks.residual.correction import Correction
 from hil.networks.residual.selection import Selection
 from hil.networks.residual.settings import ResidualSettings

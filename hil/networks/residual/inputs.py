@@ -7,8 +7,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from hil.core.errors import DataError
-from hil.core.typing import BoolArray, FloatArray
+from hil.core import BoolArray, DataError, FloatArray
 from hil.networks.residual.motions import Motions
 from hil.networks.residual.settings import ResidualSettings
 

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.typing import BoolArray, FloatArray, IntArray
-from hil.data.dataset import Dataset
-from hil.estimators.conformal import SpeedBands
+from hil.core import BoolArray, FloatArray, IntArray
+from hil.data import Dataset
+from hil.estimators import SpeedBands
 from hil.networks.residual.correction import Correction
 from hil.networks.residual.fit import Learnt, trajectory_numbers
 from hil.networks.residual.out_of_fold import Physics

@@ -8,10 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from hil.core.errors import DataError
-from hil.core.typing import FloatArray, IntArray
-from hil.data.dataset import Dataset
-from hil.data.filters import motion_rates
+from hil.core import DataError, FloatArray, IntArray
+from hil.data import Dataset, motion_rates
 from hil.networks.residual.settings import ResidualSettings
 
 RATE_TOLERANCE = 0.05

@@ -12,11 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.core.typing import BoolArray, FloatArray, IntArray
-from hil.data.dataset import Dataset
-from hil.data.parts import rows_to_fit, told_by_sample
-from hil.data.splits import group_of, groups
-from hil.estimators.base import RobotEstimator
+from hil.core import BoolArray, FloatArray, IntArray
+from hil.data import Dataset, group_of, groups, rows_to_fit, told_by_sample
+from hil.estimators import RobotEstimator
 
 NO_FOLD = -1
 

@@ -8,8 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from hil.core.errors import DataError
-from hil.core.typing import BoolArray, FloatArray, IntArray
+from hil.core import BoolArray, DataError, FloatArray, IntArray
 from hil.networks.residual.inputs import NetworkInputs
 from hil.networks.residual.motions import Motions
 from hil.networks.residual.segments import Segments, sizes

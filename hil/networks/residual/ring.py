@@ -10,8 +10,7 @@ from collections import deque
 
 import numpy as np
 
-from hil.core.errors import DataError
-from hil.core.typing import FloatArray
+from hil.core import DataError, FloatArray
 from hil.networks.residual.trained import TrainedTcn
 from hil.networks.residual.weights import Single, TcnWeights, activated
 

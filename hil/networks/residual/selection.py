@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.typing import BoolArray, FloatArray, IntArray
+from hil.core import BoolArray, FloatArray, IntArray
 
 SURE = 0.9
 """Share of such choices in which the mean over all trajectories does gain."""

@@ -6,8 +6,8 @@ from dataclasses import asdict, dataclass, fields
 from math import gcd
 from typing import Any, Literal, get_args
 
-from hil.core.errors import SpecError
-from hil.estimators.parameters import choice, flag, number, require_known, whole
+from hil.core import SpecError
+from hil.estimators import choice, flag, number, require_known, whole
 
 Heard = Literal["motion", "history", "measured"]
 Layout = Literal["grouped", "joint"]

@@ -12,8 +12,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hil.core.errors import DataError
-from hil.core.typing import BoolArray, FloatArray
+from hil.core import BoolArray, DataError, FloatArray
 from hil.networks.residual.motions import Motions
 
 POWER_SHARE = 0.99

@@ -6,13 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.errors import DataError, FitError, SpecError
-from hil.core.typing import FloatArray
-from hil.data.dataset import Dataset
+from hil.core import DataError, FitError, FloatArray, SpecError
+from hil.data import Dataset
 from hil.dynamics import RobotModel
-from hil.estimators.array_names import with_prefix, without_prefix
-from hil.estimators.base import RobotEstimator, estimator
-from hil.estimators.sound import require_sound
+from hil.estimators import RobotEstimator, estimator, require_sound, with_prefix, without_prefix
 
 BASE = "base."
 """Arrays of the base model begin with it."""

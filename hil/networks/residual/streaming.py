@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.core.typing import FloatArray
-from hil.data.prediction import Stream
+from hil.core import FloatArray
+from hil.data import Stream
 from hil.networks.residual.correction import Correction
 from hil.networks.residual.ring import RingTcn
 

@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.errors import DataError
-from hil.core.typing import FloatArray
-from hil.estimators.array_names import with_prefix, without_prefix
+from hil.core import DataError, FloatArray
+from hil.estimators import with_prefix, without_prefix
 from hil.networks.residual.inputs import InputScales, NetworkInputs
 from hil.networks.residual.motions import RATE_TOLERANCE, Motions
 from hil.networks.residual.settings import ResidualSettings

@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.core.errors import DataError
-from hil.core.typing import FloatArray
+from hil.core import DataError, FloatArray
 from hil.networks.residual.settings import Activation, ResidualSettings
 
 Single = NDArray[np.float32]

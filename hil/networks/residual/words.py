@@ -6,12 +6,16 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hil.data.dataset import Dataset
-from hil.data.filters import FilterSettings, motion_rates
-from hil.data.metrics import rmse
-from hil.data.parts import BY_SAMPLE, told_by_sample
-from hil.data.persistence_error import persistence
-from hil.estimators.base import HONEST
+from hil.data import (
+    BY_SAMPLE,
+    Dataset,
+    FilterSettings,
+    motion_rates,
+    persistence,
+    rmse,
+    told_by_sample,
+)
+from hil.estimators import HONEST
 from hil.networks.residual.fit import Learnt
 from hil.networks.residual.judged import Judged
 from hil.networks.residual.out_of_fold import NO_FOLD, Physics

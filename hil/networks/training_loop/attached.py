@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import SpecError
+from hil.core import SpecError
 from hil.networks.training_loop.problem import Watch
 
 

@@ -18,8 +18,8 @@ from typing import Any
 
 import torch
 
-from hil.core.errors import CheckpointRefused, DataError
-from hil.estimators.model_file import json_bytes, plain, write_whole
+from hil.core import CheckpointRefused, DataError
+from hil.estimators import json_bytes, plain, write_whole
 
 FORMAT = 2
 FILE = "checkpoint.json"

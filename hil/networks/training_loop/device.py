@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 import torch
 
-from hil.core.errors import SpecError
+from hil.core import SpecError
 from hil.networks.training_loop.settings import Precision
 
 

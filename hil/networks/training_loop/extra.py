@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib.util import find_spec
 
 from hil.core import plugins
-from hil.estimators.checks import Needs
+from hil.estimators import Needs
 
 LEARN = {"learn": "to train its network"}
 """`RobotEstimator.extras` of whatever calls `require_torch` in a fit."""

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import torch
 
-from hil.core.errors import DataError, FitError
+from hil.core import DataError, FitError
 from hil.networks.training_loop.checkpoint import Checkpoints
 from hil.networks.training_loop.curves import Curves
 from hil.networks.training_loop.device import device_of, reproducible

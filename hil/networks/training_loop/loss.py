@@ -8,8 +8,8 @@ import numpy as np
 import torch
 from torch.nn.functional import smooth_l1_loss
 
-from hil.core.typing import FloatArray
-from hil.estimators.parameters import choice
+from hil.core import FloatArray
+from hil.estimators import choice
 from hil.networks.training_loop.settings import LossKind
 
 KINDS: tuple[str, ...] = get_args(LossKind)

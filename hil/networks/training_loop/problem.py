@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 if TYPE_CHECKING:
     import torch
 
-    from hil.core.errors import HilError
+    from hil.core import HilError
 
 
 class Problem(Protocol):

@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
 
-from hil.estimators.parameters import MOST_SEED, Whole
+from hil.estimators import MOST_SEED, Whole
 
 LossKind = Literal["smape", "smape-floored", "huber", "mae", "mse"]
 Schedule = Literal["cosine", "constant"]

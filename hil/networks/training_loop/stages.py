@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
-from hil.core.errors import SpecError
-from hil.core.suggest import did_you_mean
+from hil.core import SpecError, did_you_mean
 from hil.networks.training_loop.settings import TrainingSettings
 
 DYNAMICS, FRICTION = "dynamics", "friction"

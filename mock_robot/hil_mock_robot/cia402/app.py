@@ -10,7 +10,7 @@ import signal
 from collections.abc import Sequence
 
 from hil.arms import load_arm
-from hil.core.errors import RecordingError
+from hil.core import RecordingError
 from hil_mock_robot.cia402.assembly import Mock
 from hil_mock_robot.cia402.dictionary import registers_of
 from hil_mock_robot.cia402.eds import eds_of, object_dictionary

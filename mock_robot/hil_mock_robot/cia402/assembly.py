@@ -6,8 +6,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from hil.arms import load_arm
-from hil.arms.payload import Payload
+from hil.arms import Payload, load_arm
 from hil_mock_robot.cia402.body import Body
 from hil_mock_robot.cia402.clock import PATIENCE_S, DeviceClock
 from hil_mock_robot.cia402.ends import BusEnd

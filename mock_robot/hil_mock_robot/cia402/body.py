@@ -7,9 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hil.arms import ArmDescription
-from hil.arms.payload import Payload
-from hil.core.typing import FloatArray
+from hil.arms import ArmDescription, Payload
+from hil.core import FloatArray
 from hil_mock_robot.arm import SETTLING_S
 from hil_mock_robot.cia402.brake import Brake
 from hil_mock_robot.cia402.contracts import STEP_S, Demand, Measured

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil_mock_robot.cia402.contracts import STEP_S
 
 DECELERATIONS = 2.0

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 
 Registers = dict[int, int]
 """Live objects of one drive by `key(index, sub)`: raw integers as on the wire, signed where so."""

@@ -9,9 +9,8 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from hil.can.frame import ERROR, EXTENDED, REMOTE, Frame
-from hil.can.hub import Hub
-from hil.core.errors import SpecError
+from hil.can import ERROR, EXTENDED, REMOTE, Frame, Hub
+from hil.core import SpecError
 
 Heard = Callable[[int, bytes, float], None]
 """COB-ID, data, wall time (monotonic)."""
@@ -157,7 +156,7 @@ def side_path(interface: str, channel: str) -> str:
         interface: As of `end_of`.
         channel: Of the bus.
     """
-    from hil.can.paths import runtime_folder, socket_path
+    from hil.can import runtime_folder, socket_path
 
     if interface == HOSTED:
         return os.fspath(socket_path(channel).with_suffix(".side"))

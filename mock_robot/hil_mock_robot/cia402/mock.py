@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from hil.core.errors import PluginError
+from hil.core import PluginError
 from hil_mock_robot.mock import DrawnMock
 
 

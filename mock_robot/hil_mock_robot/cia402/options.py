@@ -8,10 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.arms import ArmDescription, arm_names
-from hil.arms.payload import Payload
-from hil.core.errors import SpecError
-from hil.core.typing import FloatArray
+from hil.arms import ArmDescription, Payload, arm_names
+from hil.core import FloatArray, SpecError
 from hil_mock_robot.cia402.clock import PATIENCE_S
 from hil_mock_robot.cia402.telling import add_tell
 from hil_mock_robot.command_line import WithDefaults

@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil_mock_robot.cia402.contracts import STEP_S
 
 

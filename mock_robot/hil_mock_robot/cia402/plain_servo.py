@@ -11,7 +11,7 @@ import math
 import mujoco
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil_mock_robot.records import STATE, Joints
 from hil_mock_robot.simulation import Samples, Simulation
 from hil_mock_robot.step import FAULT_OVERLOAD, FAULT_RUNAWAY, OVERLOAD_S, TRACKING_LIMIT_RAD

@@ -10,8 +10,8 @@ from typing import Any
 
 import can
 
-from hil.can.frame import ERROR_BUS_OFF
-from hil.core.errors import PluginError, RobotConnectionError
+from hil.can import ERROR_BUS_OFF
+from hil.core import PluginError, RobotConnectionError
 from hil_mock_robot.cia402.ends import Heard, Readable, ignored
 
 BURST = 64

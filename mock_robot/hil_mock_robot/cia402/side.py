@@ -16,8 +16,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from hil.can.paths import private_folder
-from hil.core.errors import HilError, PluginError, SpecError
+from hil.can import private_folder
+from hil.core import HilError, PluginError, SpecError
 from hil_mock_robot.cia402.side_client import SideClient
 from hil_mock_robot.cia402.station import Station
 from hil_mock_robot.cia402.troubles import Troubles

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from hil.arms.payload import Payload
+from hil.arms import Payload
 from hil_mock_robot.cia402 import keys
 from hil_mock_robot.cia402.axis import joints_of
 from hil_mock_robot.cia402.body import Body

@@ -7,7 +7,7 @@ import json
 import socket
 from typing import Any
 
-from hil.core.errors import CommandRefused, RobotConnectionError
+from hil.core import CommandRefused, RobotConnectionError
 
 ANSWER_S = 60.0
 MAIN_KEYS = {"fault": "kind"}

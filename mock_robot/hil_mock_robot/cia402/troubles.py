@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from hil.core.errors import CommandRefused, SpecError
+from hil.core import CommandRefused, SpecError
 from hil_mock_robot.cia402.contracts import STEP_S
 from hil_mock_robot.cia402.faults import KINDS, MASTER, Fault, fault_of
 from hil_mock_robot.cia402.line import refused_mapping, refused_object

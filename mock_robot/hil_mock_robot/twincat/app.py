@@ -7,8 +7,8 @@ import signal
 import zlib
 from collections.abc import Sequence
 
-from hil.arms.payload import Payload
-from hil.core.errors import SpecError
+from hil.arms import Payload
+from hil.core import SpecError
 from hil_mock_robot.command_line import exit_code_of, factor_of, loopback_of
 from hil_mock_robot.draw import draw_truth, published
 from hil_mock_robot.journal import Journal

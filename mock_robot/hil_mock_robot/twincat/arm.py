@@ -6,9 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hil.arms import ArmDescription
-from hil.arms.payload import Payload
-from hil.core.typing import FloatArray
+from hil.arms import ArmDescription, Payload
+from hil.core import FloatArray
 from hil_mock_robot.arm import SETTLING_S
 from hil_mock_robot.draw import published
 from hil_mock_robot.sensors import Sensors

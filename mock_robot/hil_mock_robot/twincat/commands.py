@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hil.arms.payload import Payload
+from hil.arms import Payload
 from hil_mock_robot.twincat.arm import PlcArm
 from hil_mock_robot.twincat.loading import Result, refusal_of, sums_of
 from hil_mock_robot.twincat.memory import Memory

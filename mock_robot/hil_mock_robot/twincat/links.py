@@ -15,7 +15,7 @@ from typing import Protocol
 from pyads.testserver import AmsResponseData
 from pyads.testserver.testserver import AdsClientConnection
 
-from hil.core.errors import PluginError
+from hil.core import PluginError
 
 ADS_PORT = 48898
 LONGEST = 8_000_000

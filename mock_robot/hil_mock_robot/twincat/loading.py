@@ -6,7 +6,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from hil.core.typing import FloatArray, StructArray
+from hil.core import FloatArray, StructArray
 
 START_RAD = 1e-3
 REST_RAD_S = 0.01

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.typing import StructArray
+from hil.core import StructArray
 from hil_mock_robot.twincat.structured_text import Declarations, declared_in
 
 DATA = 0x4040

@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from hil.arms import ArmDescription
-from hil.core.errors import SpecError
-from hil.core.typing import FloatArray
+from hil.core import FloatArray, SpecError
 from hil_mock_robot.command_line import WithDefaults
 from hil_mock_robot.options import UPRIGHT_DEG
 

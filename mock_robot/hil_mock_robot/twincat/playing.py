@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 
 
 class Course(Protocol):

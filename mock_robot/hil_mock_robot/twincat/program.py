@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil_mock_robot.arm import FAULTS
 from hil_mock_robot.twincat.arm import PlcArm
 from hil_mock_robot.twincat.commands import Commands

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil_mock_robot.twincat.arm import Measured
 from hil_mock_robot.twincat.memory import Memory
 from hil_mock_robot.twincat.phases import FAULT, HOLDING, MASKED, MOVING, Phase

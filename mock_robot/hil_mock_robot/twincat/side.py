@@ -10,7 +10,7 @@ import json
 import sys
 from pathlib import Path
 
-from hil.core.errors import SpecError
+from hil.core import SpecError
 from hil_mock_robot.command_line import factor_of
 from hil_mock_robot.twincat.faults import fault_of
 from hil_mock_robot.twincat.troubles import Troubles

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.errors import PluginError
+from hil.core import PluginError
 
 ELEMENTARY = {"LREAL": "<f8", "ULINT": "<u8", "UDINT": "<u4", "DINT": "<i4"}
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil_mock_robot.journal import Journal, Moment
 from hil_mock_robot.rest import RestWatch
 

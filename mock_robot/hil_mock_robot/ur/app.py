@@ -9,7 +9,7 @@ import sys
 import zlib
 from collections.abc import Sequence
 
-from hil.arms.payload import Payload
+from hil.arms import Payload
 from hil_mock_robot.command_line import exit_code_of, factor_of, loopback_of
 from hil_mock_robot.draw import draw_truth
 from hil_mock_robot.journal import Journal

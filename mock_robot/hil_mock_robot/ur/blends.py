@@ -9,7 +9,7 @@ from math import sqrt
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil_mock_robot.ur.pieces import Line, Parabola, Piece
 from hil_mock_robot.ur.profiles import trapezoid
 

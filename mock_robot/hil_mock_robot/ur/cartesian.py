@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg.lapack import dposv
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil_mock_robot.ur.chain import Posture, lengths_of, twist_of
 from hil_mock_robot.ur.contracts import Setpoint
 from hil_mock_robot.ur.force_sensor import DAMPING, raw_wrench

@@ -13,7 +13,7 @@ from math import cos, pi, sin
 import numpy as np
 
 from hil.arms import ArmDescription
-from hil.core.errors import SpecError
+from hil.core import SpecError
 from hil_mock_robot.ur.poses import Frame, Numbers, Triple, floats
 
 TWISTS = (pi / 2, 0.0, 0.0, pi / 2, -pi / 2, 0.0)

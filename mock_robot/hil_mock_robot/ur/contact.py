@@ -6,7 +6,7 @@ from collections import deque
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil_mock_robot.ur.kinematics import jacobian
 from hil_mock_robot.ur.machine import Machine
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 
 if TYPE_CHECKING:
     from hil_mock_robot.ur.machine import Machine

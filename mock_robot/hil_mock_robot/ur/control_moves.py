@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Literal
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil_mock_robot.ur.motions import Leg
 from hil_mock_robot.ur.moving import joints_of, pose_at, stop_joints, stop_line
 from hil_mock_robot.ur.path import follow

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hil.core.errors import CommandRefused
-from hil.core.typing import FloatArray
+from hil.core import CommandRefused, FloatArray
 from hil_mock_robot.ur.kinematics import jacobian, pose_of, pose_trans
 from hil_mock_robot.ur.moving import is_steady, joint_torques, joints_of, pose_at, within_limits
 from hil_mock_robot.ur.threaded import Steps

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil_mock_robot.ur.contact import Touch
 from hil_mock_robot.ur.control_moves import MOVES
 from hil_mock_robot.ur.control_queries import QUERIES

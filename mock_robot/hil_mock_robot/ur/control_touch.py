@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from hil.core.errors import CommandRefused
-from hil.core.typing import FloatArray
+from hil.core import CommandRefused, FloatArray
 from hil_mock_robot.ur.contact import SINCE
 from hil_mock_robot.ur.control_moves import stop_move
 from hil_mock_robot.ur.kinematics import tool_velocity

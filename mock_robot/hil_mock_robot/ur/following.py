@@ -8,7 +8,7 @@ import numpy as np
 from scipy.linalg.lapack import dgesv
 
 from hil.arms import ArmDescription
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil_mock_robot.ur.chain import Posture, lengths_of, twist_of
 from hil_mock_robot.ur.contracts import Setpoint
 from hil_mock_robot.ur.inverse import nearest

@@ -8,7 +8,7 @@ from math import acos, asin, atan2, cos, hypot, inf, pi, sin
 import numpy as np
 
 from hil.arms import ArmDescription
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil_mock_robot.ur.chain import Lengths, Posture, lengths_of
 from hil_mock_robot.ur.poses import (
     Frame,

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from hil.arms import ArmDescription
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil_mock_robot.ur.chain import Posture, lengths_of, twist_of
 from hil_mock_robot.ur.inverse import solve
 from hil_mock_robot.ur.poses import Frame, Numbers, compose, frame_of, pose_from

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hil.arms import ArmDescription
-from hil.core.errors import CommandRefused
-from hil.core.typing import FloatArray
+from hil.core import CommandRefused, FloatArray
 
 JOINT_LIMITS, SINGULARITY, SUDDEN_CHANGE = 150, 154, 204
 TEXTS = {

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil_mock_robot.mishaps import Mishaps
 from hil_mock_robot.ur.body import Body, Reading
 from hil_mock_robot.ur.cartesian import Cartesian

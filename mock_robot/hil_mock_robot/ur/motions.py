@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from hil.arms import ArmDescription
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil_mock_robot.ur.contracts import Setpoint
 from hil_mock_robot.ur.following import ToolFollower
 from hil_mock_robot.ur.pieces import Piece

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hil.core.errors import CommandRefused
-from hil.core.typing import FloatArray
+from hil.core import CommandRefused, FloatArray
 from hil_mock_robot.ur.kinematics import pose_of, solve
 from hil_mock_robot.ur.machine import Machine
 from hil_mock_robot.ur.poses import Numbers

@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from hil.arms import ArmDescription
-from hil.core.errors import SpecError
-from hil.core.typing import FloatArray
+from hil.core import FloatArray, SpecError
 from hil_mock_robot.command_line import WithDefaults
 from hil_mock_robot.ur.series import CB3, E_SERIES
 from hil_mock_robot.ur.telling import add_tell

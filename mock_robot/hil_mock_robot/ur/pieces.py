@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil_mock_robot.ur.profiles import Trapezoid
 
 Moment = tuple[FloatArray, FloatArray, FloatArray]

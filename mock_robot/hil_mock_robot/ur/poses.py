@@ -11,7 +11,7 @@ from math import atan2, sin, sqrt
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 
 Frame = tuple[float, float, float, float, float, float, float, float, float, float, float, float]
 Numbers = Sequence[float] | FloatArray

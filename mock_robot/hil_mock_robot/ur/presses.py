@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from hil.core.errors import CommandRefused, SpecError
+from hil.core import CommandRefused, SpecError
 from hil_mock_robot.ur.machine import Machine
 from hil_mock_robot.ur.mode_codes import RuntimeState, SafetyMode
 from hil_mock_robot.ur.transitions import UNLOCK_AFTER_S

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from hil.arms import ArmDescription
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil_mock_robot.ur.blends import Corner, Stretch, extent, join, joint_size, tool_size
 from hil_mock_robot.ur.inverse import solve
 from hil_mock_robot.ur.kinematics import pose_of, tool_frame

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hil.core.errors import CommandRefused
+from hil.core import CommandRefused
 from hil_mock_robot.ur.kinematics import pose_of
 from hil_mock_robot.ur.moving import is_steady, joint_torques, joints_of, pose_at, within_limits
 from hil_mock_robot.ur.script_arguments import Answer, Given, Named, bound

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil_mock_robot.ur.motions import Leg
 from hil_mock_robot.ur.poses import compose, frame_of, rotation_vector
 from hil_mock_robot.ur.script_poses import between

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from hil.core.errors import CommandRefused
+from hil.core import CommandRefused
 
 if TYPE_CHECKING:
     from hil_mock_robot.ur.script_evaluation import Evaluator

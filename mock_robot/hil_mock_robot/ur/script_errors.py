@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 
-from hil.core.errors import CommandRefused
+from hil.core import CommandRefused
 from hil_mock_robot.ur.contracts import NOWHERE, Place
 
 LONGEST_TOKEN = 300

@@ -7,7 +7,7 @@ from collections.abc import Generator, Sequence
 from random import Random
 from typing import TYPE_CHECKING, Any
 
-from hil.core.errors import CommandRefused
+from hil.core import CommandRefused
 from hil_mock_robot.ur.machine import Machine
 from hil_mock_robot.ur.registers import Registers
 from hil_mock_robot.ur.script_functions import ACTIONS, ANSWERS

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hil.core.errors import CommandRefused
+from hil.core import CommandRefused
 from hil_mock_robot.ur.script_answers import ANSWERS as ANSWERS
 from hil_mock_robot.ur.script_arguments import Given, Named, bound
 from hil_mock_robot.ur.script_motions import MOTIONS

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from hil.core.errors import CommandRefused
+from hil.core import CommandRefused
 from hil_mock_robot.ur.script_arguments import Answer, Given, Named, bound
 from hil_mock_robot.ur.script_values import Pose, Value, joined, number, shown
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from hil.core.errors import CommandRefused
+from hil.core import CommandRefused
 from hil_mock_robot.ur.machine import Machine
 from hil_mock_robot.ur.motions import Leg
 from hil_mock_robot.ur.moving import pose_at, speed_motion, stop_joints, stop_line

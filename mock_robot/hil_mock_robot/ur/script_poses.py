@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
-from hil.core.errors import CommandRefused
+from hil.core import CommandRefused
 from hil_mock_robot.ur.poses import (
     Frame,
     compose,

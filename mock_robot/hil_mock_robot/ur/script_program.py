@@ -9,7 +9,7 @@ from __future__ import annotations
 import ast
 from collections.abc import Generator, Sequence
 
-from hil.core.errors import CommandRefused
+from hil.core import CommandRefused
 from hil_mock_robot.ur.motions import Leg
 from hil_mock_robot.ur.path import follow
 from hil_mock_robot.ur.script_errors import ScriptError

@@ -8,7 +8,7 @@ import operator
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from hil.core.errors import CommandRefused
+from hil.core import CommandRefused
 
 Value = bool | int | float | str | list[Any] | None
 

@@ -6,7 +6,7 @@ import ast
 import re
 from collections.abc import Iterable
 
-from hil.core.errors import CommandRefused
+from hil.core import CommandRefused
 from hil_mock_robot.ur.contracts import Program
 from hil_mock_robot.ur.control_script import ControlScript
 from hil_mock_robot.ur.machine import Machine

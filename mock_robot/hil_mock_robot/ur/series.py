@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hil.core.errors import SpecError
+from hil.core import SpecError
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ from math import exp, sqrt
 import numpy as np
 
 from hil.arms import ArmDescription
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 from hil_mock_robot.ur.blends import Size, joint_size
 from hil_mock_robot.ur.contracts import Setpoint
 from hil_mock_robot.ur.following import ToolFollower

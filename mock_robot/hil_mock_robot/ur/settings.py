@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hil.arms.payload import Payload
-from hil.core.errors import CommandRefused
+from hil.arms import Payload
+from hil.core import CommandRefused
 from hil_mock_robot.ur.machine import Machine, Watchdog
 
 HEAVIEST = 2.0

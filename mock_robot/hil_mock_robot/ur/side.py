@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-from hil.core.errors import CommandRefused, HilError, SpecError
+from hil.core import CommandRefused, HilError, SpecError
 from hil_mock_robot.side_requests import Request, payload_in, torque_in
 from hil_mock_robot.ur.contracts import Link
 from hil_mock_robot.ur.machine import Machine

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from hil.core.errors import SpecError
+from hil.core import SpecError
 from hil_mock_robot.command_line import LEAST_FACTOR, MOST_FACTOR
 from hil_mock_robot.options import numbers_of
 from hil_mock_robot.side_requests import Request, listed

@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 import time
 
-from hil.core.errors import PluginError
+from hil.core import PluginError
 
 MOST_PENDING = 4_000_000
 """Bytes that wait for a client that does not read; the connection is closed beyond that."""

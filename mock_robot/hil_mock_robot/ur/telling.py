@@ -8,7 +8,7 @@ import socket
 from collections.abc import Sequence
 from typing import Any
 
-from hil.core.errors import CommandRefused, RobotConnectionError
+from hil.core import CommandRefused, RobotConnectionError
 from hil_mock_robot import side_requests
 
 ANSWER_S = 60.0

@@ -6,7 +6,7 @@ from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
 from typing import TypeVar
 
-from hil.core.errors import CommandRefused
+from hil.core import CommandRefused
 from hil_mock_robot.ur.contracts import Motion
 from hil_mock_robot.ur.machine import PROGRAM_STOP_RAD_S2, Machine
 from hil_mock_robot.ur.script_errors import place_of

@@ -1,0 +1,10 @@
+from .description import ArmDescription as ArmDescription
+from .description import Capsule as Capsule
+from .description import arm_from_dict as arm_from_dict
+from .description import arm_names as arm_names
+from .description import is_described as is_described
+from .description import is_description as is_description
+from .description import load_arm as load_arm
+from .own_file import model_sha256 as model_sha256
+from .own_file import require_same_arm as require_same_arm
+from .payload import Payload as Payload
