@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from hil.cli.app import app
 from hil.core.errors import DataError, RegistryError
-from hil.estimators.model_file import plain
+from hil.estimators.model_writer import plain
 from hil.evaluation.fitting import fit_sources
 from hil.models.drift.history import PROBES_FILE, assess, identity, probes_of
 from hil.models.pointers import pointed

@@ -145,6 +145,6 @@ def test_motors_that_move_two_joints_get_rows_and_gradients_of_their_own() -> No
 
 
 def _coupled() -> RobotModel:
-    from hil.dynamics.coupled import CoupledModel
+    from hil.dynamics.robot_model import CoupledModel
 
     return CoupledModel.from_arm("tx40@motors", rotor_inertia=np.arange(1.0, 7.0))

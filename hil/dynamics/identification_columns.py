@@ -53,7 +53,7 @@ class IdentificationColumns:
     ) -> None:
         base = base or base_parameters(robot, rotor=rotor)
         self._robot, self._geometry = robot, robot.joint_geometry()
-        # Where one motor moves several joints, the rows are the motors' (`hil.dynamics.coupled`).
+        # Where one motor moves several joints, the rows are the motors' (`CoupledModel`).
         self._T: FloatArray = getattr(robot, "joints_per_motor", np.eye(robot.n))
         self._width, self._friction = sign_width, friction
         bodies = 10 * robot.n

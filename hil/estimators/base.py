@@ -132,7 +132,7 @@ class RobotEstimator(Parametrised):
 
     def save(self, folder: Path) -> Path:
         """Write `model.json` and `model.safetensors` into a folder; returns the folder."""
-        from hil.estimators.model_file import save_model
+        from hil.estimators.model_writer import save_model
 
         return save_model(self, folder)
 

@@ -7,7 +7,7 @@ from typing import Any, Literal, Protocol, TypeAlias
 import numpy as np
 from scipy.linalg import blas, lapack
 
-from hil.core import BoolArray, FloatArray, SpecError
+from hil.core import BoolArray, FloatArray
 
 Array: TypeAlias = Any
 """A numpy array or a torch tensor."""
@@ -151,21 +151,3 @@ def rows_last(X: FloatArray) -> FloatArray:
 def numpy_arrays(precision: Precision) -> Arrays:
     """Arrays on the CPU."""
     return NumpyArrays(precision)
-
-
-def arrays_on(device: str, precision: Precision) -> Arrays:
-    """Arrays on `cpu` (numpy), or on a device of torch: `cuda`, `cuda:1`, `torch-cpu`.
-
-    Raises:
-        SpecError: torch is missing, or has no such device.
-    """
-    if device == "cpu":
-        return NumpyArrays(precision)
-    try:
-        from hil.networks.lm.torch_arrays import TorchArrays
-    except ImportError as error:
-        raise SpecError(
-            f"device {device!r} needs torch, which is not installed",
-            hint='pip install "hil[learn]", or use device: cpu',
-        ) from error
-    return TorchArrays(device.removeprefix("torch-"), precision)

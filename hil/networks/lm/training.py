@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.core import BoolArray, FitError, FloatArray
-from hil.networks.lm.arrays import Arrays, arrays_on
+from hil.core import BoolArray, FitError, FloatArray, SpecError
+from hil.networks.lm.arrays import Arrays, NumpyArrays, Precision
 from hil.networks.lm.network import Mlp, Pass
 from hil.networks.lm.rows import Rows
 from hil.networks.lm.scaling import Scaling
@@ -149,3 +149,21 @@ class Training:
         found = self._scaling.outputs(self._arrays.to_numpy(passed.output))
         square = self._held_out.weight @ (found - self._held_out.Y) ** 2
         return np.asarray(np.sqrt(square + self._held_out.scatter))
+
+
+def arrays_on(device: str, precision: Precision) -> Arrays:
+    """Arrays on `cpu` (numpy), or on a device of torch: `cuda`, `cuda:1`, `torch-cpu`.
+
+    Raises:
+        SpecError: torch is missing, or has no such device.
+    """
+    if device == "cpu":
+        return NumpyArrays(precision)
+    try:
+        from hil.networks.lm.torch_arrays import TorchArrays
+    except ImportError as error:
+        raise SpecError(
+            f"device {device!r} needs torch, which is not installed",
+            hint='pip install "hil[learn]", or use device: cpu',
+        ) from error
+    return TorchArrays(device.removeprefix("torch-"), precision)

@@ -12,9 +12,10 @@ from collections.abc import Sequence
 from hil.arms import load_arm
 from hil.core import RecordingError
 from hil_mock_robot.cia402.assembly import Mock
+from hil_mock_robot.cia402.bus import end_of
 from hil_mock_robot.cia402.dictionary import registers_of
 from hil_mock_robot.cia402.eds import eds_of, object_dictionary
-from hil_mock_robot.cia402.ends import HOSTED, BusEnd, end_of, side_path
+from hil_mock_robot.cia402.ends import HOSTED, BusEnd, side_path
 from hil_mock_robot.cia402.faults import read_faults
 from hil_mock_robot.cia402.options import NO_SIDE, OWN_COMMAND, mounted_in, parser_of
 from hil_mock_robot.cia402.telling import MAIN_KEYS, tell

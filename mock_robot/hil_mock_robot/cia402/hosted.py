@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from typing import Any, TypeVar
 
 from hil_mock_robot.cia402.assembly import Mock
-from hil_mock_robot.cia402.ends import end_of
+from hil_mock_robot.cia402.bus import end_of
 from hil_mock_robot.draw import draw_truth
 from hil_mock_robot.truth import Profile
 
