@@ -32,8 +32,6 @@ from hil.workflow import (
     RunReport,
     Unconfirmed,
     console_desk,
-    resume_experiment,
-    run_experiment,
 )
 
 if TYPE_CHECKING:
@@ -182,6 +180,8 @@ def run(
             f"robot={robot!r} is not the robot of {experiment.spec.name}",
             hint=f"its robot is {experiment.spec.robot!r} of {experiment.station_source}",
         )
+    from hil.workflow import run_experiment
+
     return run_experiment(
         experiment,
         runs=_path(runs),
@@ -230,6 +230,8 @@ def resume(
             back sweeps more than was confirmed, and `robot` does not name it.
         HilError: What else keeps the run from going on.
     """
+    from hil.workflow import resume_experiment
+
     return resume_experiment(
         _path(run), operator=operator, observers=observers,
         desk=_confirming(desk, robot, operator), waivers=_waivers_of(waivers),

@@ -36,7 +36,7 @@ from hil.workflow.confirmation import (
 from hil.workflow.console import Console
 from hil.workflow.desk import Desk
 from hil.workflow.preview import planned
-from hil.workflow.run import RunReport
+from hil.workflow.run_report import RunReport
 from hil_mock_robot.driver import MockRobot
 
 SPEC = """

@@ -18,7 +18,7 @@ from hil.planning.plan import Plan, Step
 from hil.recording.recorder import Recorder
 from hil.recording.rundir import RunDirectory
 from hil.robot import Capabilities
-from hil.workflow.run import RunReport
+from hil.workflow.run_report import RunReport
 from hil.workflow.weighed_before import is_whole, weighed_before
 from hil_mock_robot.driver import MockRobot
 

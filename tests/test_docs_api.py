@@ -17,7 +17,7 @@ import hil
 from hil import api
 from hil.cli.app import app
 from hil.evaluation.fitting import FitReport, Fitted
-from hil.workflow.run import RunReport
+from hil.workflow.run_report import RunReport
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "reference" / "api.md").read_text("utf-8")

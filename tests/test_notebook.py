@@ -22,7 +22,7 @@ from hil.models.compare import Comparison
 from hil.models.registry import Registry
 from hil.models.version import ModelVersion
 from hil.studies.result import StudyResult, Table
-from hil.workflow.run import RunReport
+from hil.workflow.run_report import RunReport
 
 ROOT = Path(__file__).parents[1]
 NASTY = "<script>alert('1')</script>&"

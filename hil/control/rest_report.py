@@ -25,7 +25,8 @@ from hil.estimators import (
     load_model_file,
     require_torque,
 )
-from hil.planning import collision_model
+from hil.excitation import Workspace
+from hil.planning import collision_model, roadmap_of
 
 if TYPE_CHECKING:
     from hil.dynamics import CollisionModel
@@ -179,9 +180,6 @@ def _resting(
 
 def _home(arm: RestingArm, bodies: CollisionModel) -> list[RestPose]:
     """Where programs of this arm begin by default; [] where they cannot."""
-    from hil.excitation import Workspace
-    from hil.planning import roadmap_of
-
     description = bodies.arm
     workspace = Workspace(
         joint_names=arm.joint_names,

@@ -16,6 +16,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from hil.core import HilError
+from hil.dashboard.checked import digest_of
+from hil.planning import commissioning_of
+
 TOO_LARGE = "its arrays do not fit into the memory that a plan may take here"
 
 
@@ -36,8 +40,6 @@ def _end_with_the_asker() -> None:
 
 
 def _answer(asked: Mapping[str, Any]) -> dict[str, Any]:
-    from hil.core import HilError
-
     try:
         return _planned(asked)
     except MemoryError:
@@ -47,9 +49,7 @@ def _answer(asked: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _planned(asked: Mapping[str, Any]) -> dict[str, Any]:
-    from hil.dashboard.checked import digest_of
     from hil.dashboard.plan_shown import PICTURES, shown_plan, shown_rest
-    from hil.planning import commissioning_of
     from hil.workflow import check_start, open_unfinished
 
     if "run" in asked:

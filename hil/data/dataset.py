@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from hil.arms import Payload
-from hil.core import BoolArray, DataError, FloatArray, IntArray
+from hil.core import BoolArray, DataError, FloatArray, IntArray, card
 
 UPRIGHT = (0.0, 0.0, -9.81)
 """Gravity in the base frame of an arm that stands on a level table [m/s²]."""
@@ -128,8 +128,6 @@ class Dataset:
 
     def _repr_html_(self) -> str:
         """Itself in a notebook."""
-        from hil.core import card
-
         facts = {
             "samples": f"{len(self):,}",
             "joints": self.n_joints,

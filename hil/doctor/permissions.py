@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from hil.doctor.finding import Finding
+from hil.excitation import user_cache
+from hil.robot import leases_folder
 
 SERIAL = ("ttyUSB*", "ttyACM*")
 """Adapters below /dev that need the group `dialout`; CAN adapters by serial line are among them."""
@@ -15,9 +17,6 @@ SERIAL = ("ttyUSB*", "ttyACM*")
 
 def folders() -> Iterator[Finding]:
     """Whether runs, leases, models and cached trajectories can be written; nothing is made."""
-    from hil.excitation import user_cache
-    from hil.robot import leases_folder
-
     runs = Path(os.environ.get("HIL_RUNS") or "runs")
     registry = Path(os.environ.get("HIL_REGISTRY") or "registry")
     cache = user_cache().folder

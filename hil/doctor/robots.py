@@ -8,7 +8,9 @@ from pathlib import Path
 
 from hil.core import HilError
 from hil.doctor.finding import Finding
-from hil.spec import StationRobot
+from hil.planning import opened
+from hil.robot import HasReach
+from hil.spec import StationRobot, load_station
 
 AT_ONCE = 8
 MANY = 8
@@ -21,8 +23,6 @@ def asked(path: Path) -> Iterator[Finding]:
     Args:
         path: The station file.
     """
-    from hil.spec import load_station
-
     try:
         station = load_station(path)
     except (HilError, OSError) as error:
@@ -41,9 +41,6 @@ def asked(path: Path) -> Iterator[Finding]:
 
 def _ask(name: str, described: StationRobot) -> list[Finding]:
     """What a robot says of itself; nothing for one that is private to this process."""
-    from hil.planning import opened
-    from hil.robot import HasReach
-
     try:
         # In this process: asking takes a second or two, with a limit of its own.
         with opened(name, described.model_copy(update={"own_process": False})) as robot:

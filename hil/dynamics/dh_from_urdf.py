@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from hil.core import FloatArray, SpecError
-from hil.dynamics.build import joint_geometry, model_from_urdf
+from hil.dynamics.build import joint_geometry, model_from_urdf, model_of_dh
 
 PARALLEL = 1e-6
 """Sine of the angle below which two axes count as parallel."""
@@ -200,8 +200,6 @@ def _segments(frames: list[FloatArray], points: FloatArray) -> FloatArray:
 
 def _compare(path: Path, model: pin.Model, found: Described) -> None:
     """Torques by both at random states: a description that is another arm is worse than none."""
-    from hil.dynamics.build import model_of_dh
-
     again = model_of_dh(found.dh, found.mass, found.com, found.inertia)
     rng = np.random.default_rng(0)
     one, two = model.createData(), again.createData()

@@ -13,7 +13,9 @@ from hil.arms import Payload
 from hil.core import DataError, FloatArray, IntArray
 from hil.dynamics.build import JointGeometry, joint_geometry, pose_of
 from hil.dynamics.chain import Chain
+from hil.dynamics.compiled_torques import fill_torques
 from hil.dynamics.inertial import PARAMETERS, payload_parameters, transfer_matrix
+from hil.dynamics.momentum import momentum
 from hil.dynamics.regressor import Regressor, compiles
 
 
@@ -73,8 +75,6 @@ class RigidBodies:
         return (self.regressor(*rows) @ parameters).reshape(rows[0].shape)
 
     def _recursion(self, parameters: FloatArray, *rows: FloatArray) -> FloatArray:
-        from hil.dynamics.compiled_torques import fill_torques
-
         q, qd, qdd = rows
         bodies, rotors = np.split(parameters, [len(PARAMETERS) * self.n])
         out = np.empty(q.shape)
@@ -85,8 +85,6 @@ class RigidBodies:
         self, parameters: FloatArray, q: FloatArray, qd: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Momentum M(q) q̇ [N·m·s] and Cᵀ(q, q̇) q̇ [N·m], each (N, n), of any parameters (11·n,)."""
-        from hil.dynamics.momentum import momentum
-
         return momentum(self._chain, np.asarray(parameters), *self._rows(q, qd))
 
     def loaded_parameters(self, parameters: FloatArray, payload: Payload) -> FloatArray:

@@ -27,6 +27,7 @@ from hil.data import (
 )
 from hil.dynamics import COMPILED_FROM, RobotModel, may_be
 from hil.estimators.checks import Needs
+from hil.estimators.model_writer import save_model
 from hil.estimators.parameters import Parametrised, require_known
 from hil.estimators.training import Training
 
@@ -132,8 +133,6 @@ class RobotEstimator(Parametrised):
 
     def save(self, folder: Path) -> Path:
         """Write `model.json` and `model.safetensors` into a folder; returns the folder."""
-        from hil.estimators.model_writer import save_model
-
         return save_model(self, folder)
 
     def _remember(self, dataset: Dataset, robot: RobotModel, scale: FloatArray) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.core import DataError, FloatArray, RecordingError, SpecError
+from hil.core import DataError, FloatArray, RecordingError, SpecError, read_source
 from hil.data import Dataset
 
 KEY, SOURCE_KEY = "drive_gains_nm_a", "drive_gains_source"
@@ -51,8 +51,6 @@ def read_gains(path: Path) -> DriveGains:
     Raises:
         SpecError: The file cannot be read, or has no `drive_gains_nm_a` of positive numbers.
     """
-    from hil.core import read_source
-
     found = read_source(path).data
     told = found.get(KEY) if isinstance(found, dict) else None
     numbers = told if isinstance(told, list) else []

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hil.arms import Payload
-from hil.core import FloatArray
+from hil.core import FloatArray, card, number
 from hil.data import Prediction
 from hil.estimators.clustered import interval
 
@@ -109,8 +109,6 @@ class PayloadEstimate:
 
     def _repr_html_(self) -> str:
         """Itself in a notebook: a row per parameter that shows."""
-        from hil.core import card, number
-
         rows = [
             (one["name"], number(one["value"]), number(one["std_error"]),
              " … ".join(map(number, one["interval_95"])), "yes" if one["determined"] else "no")

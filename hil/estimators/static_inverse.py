@@ -28,6 +28,7 @@ from hil.data import Dataset, Prediction
 from hil.dynamics import RobotModel
 from hil.estimators.base import payload_torque
 from hil.estimators.checks import Needs, require_rank
+from hil.estimators.clustered import interval
 from hil.estimators.current_fit import (
     CurrentFit,
     Currents,
@@ -242,8 +243,6 @@ class StaticInverse(PoseClustered):
 
 def _significant(found: CurrentFit, squares: list[int]) -> list[int]:
     """The joints whose K₂ the data tell from 0."""
-    from hil.estimators.clustered import interval
-
     last = slice(len(found.coefficients), None)
     error = np.sqrt(np.diag(found.clustered.covariance)[last])
     ends = interval(found.squares, error, found.clustered.degrees[last], SURE)

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.core import BoolArray, FloatArray
+from hil.core import BoolArray, FloatArray, card, number
 from hil.data import (
     AT_REST,
     Conditions,
@@ -114,8 +114,6 @@ class Evaluation:
 
     def _repr_html_(self) -> str:
         """Itself in a notebook."""
-        from hil.core import card, number
-
         total = self.total
         facts = {
             "samples": f"{total.samples:,}",

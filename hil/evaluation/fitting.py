@@ -17,7 +17,16 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from hil.arms import Payload
-from hil.core import DataError, FitError, FloatArray, RecordingError, SpecError, require_installed
+from hil.core import (
+    DataError,
+    FitError,
+    FloatArray,
+    RecordingError,
+    SpecError,
+    card,
+    number,
+    require_installed,
+)
 from hil.data import Dataset, assert_disjoint
 from hil.dynamics import RobotModel, load_model
 from hil.estimators import (
@@ -80,8 +89,6 @@ class FitReport:
 
     def _repr_html_(self) -> str:
         """Itself in a notebook: a row per held-out source."""
-        from hil.core import card, number
-
         model = self.fitted.model
         unit = "A" if model.effort_kind_ == "current" else "N·m"
         head = (f"RMSE raw [{unit}] on", *model.joint_names_, "mean")

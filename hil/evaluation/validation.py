@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hil.core import DataError
+from hil.core import DataError, card
 from hil.data import SAME_SHARE, Dataset, revisited
 from hil.estimators import RobotEstimator, json_bytes, write_whole
 from hil.evaluation.evaluation import Evaluation
@@ -46,8 +46,6 @@ class Validation:
 
     def _repr_html_(self) -> str:
         """Itself in a notebook."""
-        from hil.core import card
-
         return card("Validation on", self.source, {}, notes=self.notes) + self.errors._repr_html_()
 
     def to_dict(self) -> dict[str, Any]:

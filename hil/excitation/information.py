@@ -9,6 +9,7 @@ import numpy as np
 import scipy.linalg
 
 from hil.core import FloatArray
+from hil.dynamics import base_parameters
 
 if TYPE_CHECKING:
     from hil.dynamics import RobotModel
@@ -74,8 +75,6 @@ class Regressor:
     """
 
     def __init__(self, robot: RobotModel, *, rotor: bool = True, friction: bool = False) -> None:
-        from hil.dynamics import base_parameters
-
         self._robot = robot
         self._rotor, self._friction = rotor, friction
         self._base = base_parameters(robot, rotor=rotor)

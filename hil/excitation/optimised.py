@@ -17,6 +17,7 @@ import numpy as np
 from hil.core import PlanError, RecordingError
 from hil.excitation.cache import DamagedEntry
 from hil.excitation.motion import FourierSeries
+from hil.excitation.optimiser import optimise
 from hil.excitation.question import Question
 from hil.excitation.roadmap import Roadmap
 from hil.excitation.setting import Advance
@@ -97,8 +98,6 @@ class OptimisedSeries:
         Raises:
             PlanError: It found none within all limits.
         """
-        from hil.excitation.optimiser import optimise
-
         seeds = np.random.SeedSequence([self.question.seed, number, attempt])
         return optimise(
             problem,

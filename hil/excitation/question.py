@@ -11,6 +11,7 @@ import numpy as np
 from hil.core import PlanError
 from hil.excitation.cache import digest
 from hil.excitation.motion import FourierSeries
+from hil.excitation.optimiser import ExcitationProblem
 from hil.excitation.setting import Setting
 from hil.excitation.workspace import Workspace
 from hil.spec import Fourier, Optimise
@@ -97,8 +98,6 @@ class Question:
 
     def problem(self, found: Sequence[FourierSeries]) -> ExcitationProblem:
         """What the trajectory after those `found` has to be."""
-        from hil.excitation.optimiser import ExcitationProblem
-
         workspace, asked = self.workspace, self.asked
         jerk = asked.max_jerk_deg_s3
         problem = ExcitationProblem(

@@ -14,6 +14,7 @@ from hil.core import SpecError
 from hil.export.c_friction import friction_piece
 from hil.export.c_lagrangian import lagrangian_piece
 from hil.export.c_memory import knows_warmth
+from hil.export.c_network import network_piece
 from hil.export.c_program_text import (
     HEADER,
     LEARNED,
@@ -88,8 +89,6 @@ def c_source(program: Program, prefix: str = "hil", told: str = "") -> CSource:
         )
     network = Piece()
     if program.correction is not None:
-        from hil.export.c_network import network_piece
-
         network = network_piece(program.correction, program.n)
     pieces = (rigid_piece(program), lagrangian_piece(program), friction_piece(program), network)
     head = f"/* {comment(told or program.estimator)}. Written by hil; do not edit. */\n"

@@ -8,6 +8,8 @@ own; Student's t of the blocks says what the difference may be with 95 %.
 
 from __future__ import annotations
 
+from hil.core import Tone, card, number
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -105,8 +107,6 @@ class Comparison:
 
     def _repr_html_(self) -> str:
         """Itself in a notebook."""
-        from hil.core import (Tone, card, number)
-
         badge: tuple[str, Tone] = ("not better for sure", "warn")
         if self.better or self.worse:
             badge = ("better", "pass") if self.better else ("worse", "fail")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from hil.models.facts import facts_of
+
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -98,8 +100,6 @@ def registered(fit: RobotFit, registry: Registry) -> RobotFit:
     Raises:
         RegistryError: The registry cannot be written.
     """
-    from hil.models.facts import facts_of
-
     if fit.model is None:
         return fit
     facts = facts_of(fit.model, [fit.run])

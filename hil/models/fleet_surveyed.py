@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from hil.estimators import load_model_file
+from hil.evaluation import usable_part
+from hil.importers import load_source
+from hil.spec import load_station
+
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -87,10 +92,6 @@ def surveyed(run: Path, model: Path | None) -> Surveyed:
 
 
 def _friction(run: Path, model: Path) -> tuple[tuple[str, ...], FloatArray, FloatArray]:
-    from hil.estimators import load_model_file
-    from hil.evaluation import usable_part
-    from hil.importers import load_source
-
     fitted = load_model_file(model)
     data = usable_part(load_source(run), fitted)
     prediction = fitted.predict(data)
@@ -110,8 +111,6 @@ def _friction(run: Path, model: Path) -> tuple[tuple[str, ...], FloatArray, Floa
 
 def _age(run: Path) -> float:
     """Years from the station's `in_service` to the run; NaN where either is not told."""
-    from hil.spec import load_station
-
     try:
         start = read_json(run / "start.json")
         station = load_station(run / "station.yaml", look_up=False)

@@ -7,6 +7,8 @@ enters it.
 
 from __future__ import annotations
 
+from hil.core import card
+
 import hashlib
 import re
 from collections.abc import Mapping
@@ -45,8 +47,6 @@ class Registry:
 
     def _repr_html_(self) -> str:
         """Itself in a notebook: a row per name."""
-        from hil.core import card
-
         rows = []
         for name in self.names():
             labels = ("log damaged", "–")

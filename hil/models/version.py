@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from hil.core import card
+
 import hashlib
 import json
 import os
@@ -57,8 +59,6 @@ class ModelVersion:
 
     def _repr_html_(self) -> str:
         """Itself in a notebook."""
-        from hil.core import card
-
         facts = {
             "estimator": self.facts.get("estimator"),
             "robot": self.facts.get("robot"),

@@ -10,6 +10,7 @@ import numpy as np
 
 from hil.arms import ArmDescription
 from hil.core import plugins
+from hil.dynamics import RobotModel
 from hil.excitation import (
     Computes,
     Excitation,
@@ -66,8 +67,6 @@ def setting_of(
         watch: Is told how far trajectories are that take long to compute.
         cache: Where those are kept; by default this user's.
     """
-    from hil.dynamics import RobotModel
-
     collision: Any = workspace.collision  # a CollisionModel, which can do more than is asked of it
     return Setting(
         robot=RobotModel.from_arm(arm.name, gravity=station_robot.gravity_m_s2),

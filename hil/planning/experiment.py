@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hil.core import SpecError, read_source
+from hil.core import SpecError, card, read_source
 from hil.planning.station_lookup import BUILT_IN, NOT_MOCKED, find_station, mock_bench, stations_in
 from hil.spec import (
     ExperimentSpec,
@@ -70,8 +70,6 @@ class Experiment:
 
     def _repr_html_(self) -> str:
         """Itself in a notebook."""
-        from hil.core import card
-
         facts = {
             "robot": self.spec.robot,
             "model": self.robot.model,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from hil.arms import ArmDescription
 from hil.core import PlanError
+from hil.dynamics import FlangeSpace, Plane, least_along
 from hil.planning.plan import Step
 from hil.planning.surroundings import BodySize
 from hil.spec import ClearanceInterlock, Interlock, WorkspaceInterlock
@@ -28,8 +29,6 @@ def flange_space(
         space: Box and planes.
         sizes: Of each load's body, None where it is not known.
     """
-    from hil.dynamics import FlangeSpace
-
     return FlangeSpace(arm, _faces(space), _tip_m(sizes))
 
 
@@ -45,8 +44,6 @@ def declared_space(
         arm: The arm.
         sizes: Of each load's body, None where it is not known.
     """
-    from hil.dynamics import FlangeSpace
-
     faces = [
         replace(face, name=f"{face.name} (interlocks.{number})")
         for number, interlock in enumerate(interlocks)
@@ -101,8 +98,6 @@ def interlock_margins(
 
 def _least(space: FlangeSpace, steps: Sequence[Step], rate_hz: float) -> tuple[float, str]:
     """The smallest distance of steps that move to a face, and what is wrong with it."""
-    from hil.dynamics import least_along
-
     paths = [step.motion.sample(rate_hz).q for step in steps if step.motion is not None]
     found = [least_along(q, space.distances, space.reach) for q in paths]
     at, (least, sample) = min(enumerate(found), key=lambda item: item[1][0])
@@ -128,8 +123,6 @@ def _tip_m(sizes: Sequence[BodySize | None]) -> float:
 
 
 def _faces(space: WorkspaceInterlock) -> list[Plane]:
-    from hil.dynamics import Plane
-
     faces = [Plane(wall.point_m, wall.normal, wall.name) for wall in space.planes]
     for key, corner, inwards in (("min_m", space.min_m, 1.0), ("max_m", space.max_m, -1.0)):
         if corner is not None:

@@ -8,6 +8,7 @@ import numpy as np
 
 from hil.arms import ArmDescription, Payload
 from hil.core import FloatArray
+from hil.dynamics import RobotModel, base_parameters, conditioning
 from hil.excitation import Motion
 
 MOST_ROWS = 1500
@@ -26,8 +27,6 @@ def condition_score(arm: ArmDescription, gravity: Sequence[float], *, at_rest: b
         gravity: (3,) in the base frame [m/s²].
         at_rest: Only the parameters that gravity shows count; velocities are ignored.
     """
-    from hil.dynamics import RobotModel, base_parameters, conditioning
-
     model = RobotModel.from_arm(arm.name, gravity=gravity)
     base = base_parameters(model, gravity_only=at_rest)
 
@@ -57,8 +56,6 @@ def effort_margin(
 
     Of the nominal rigid body with each load, friction left out; negative when the arm cannot.
     """
-    from hil.dynamics import RobotModel
-
     model = RobotModel.from_arm(arm.name, gravity=gravity)
     q, qd, qdd = _thinned(motions, rate_hz, EFFORT_ROWS)
     return min(

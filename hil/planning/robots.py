@@ -13,7 +13,7 @@ from hil.excitation import Watch, unwatched
 from hil.planning.build import build_plan
 from hil.planning.experiment import Experiment
 from hil.planning.plan import Plan
-from hil.robot import Lease, Robot, address_of, leased
+from hil.robot import Lease, Robot, RobotProcess, address_of, leased
 from hil.spec import StationRobot
 
 AT_SET_POINT_RAD = 0.01
@@ -41,8 +41,6 @@ def open_robot(name: str, station_robot: StationRobot) -> Robot:
         RobotError: The process for it does not come up.
     """
     if station_robot.own_process:
-        from hil.robot import RobotProcess
-
         return RobotProcess(
             station_robot.driver,
             name,

@@ -9,6 +9,7 @@ import numpy as np
 
 from hil.arms import ArmDescription, Capsule, Payload
 from hil.core import FloatArray
+from hil.dynamics import Box, CollisionModel, Environment, Plane, payload_capsule
 from hil.spec import Surroundings
 
 if TYPE_CHECKING:
@@ -27,8 +28,6 @@ def collision_model(
 
     One body for all loads lets every load see the same program.
     """
-    from hil.dynamics import CollisionModel
-
     capsules = [body for load, size in loads if (body := _capsule(load, size, arm.n_joints))]
     around = _environment(surroundings)
     return CollisionModel(arm, around, envelope(capsules) if capsules else None)
@@ -58,8 +57,6 @@ def _off_axis(point: FloatArray, end: FloatArray) -> float:
 
 
 def _capsule(load: Payload, size: BodySize | None, flange_link: int) -> Capsule | None:
-    from hil.dynamics import payload_capsule
-
     if size is None:
         return payload_capsule(load, flange_link)
     length, radius = size
@@ -67,8 +64,6 @@ def _capsule(load: Payload, size: BodySize | None, flange_link: int) -> Capsule 
 
 
 def _environment(surroundings: Surroundings) -> Environment:
-    from hil.dynamics import Box, Environment, Plane
-
     return Environment(
         table_z=surroundings.table_z_m,
         walls=tuple(Plane(w.point_m, w.normal, w.name) for w in surroundings.walls),

@@ -11,6 +11,7 @@ import numpy as np
 
 from hil.arms import ArmDescription, Capsule
 from hil.core import FloatArray
+from hil.dynamics import CapsuleChain
 from hil.planning.plan import Plan
 
 BLOCK = 16_384
@@ -155,8 +156,6 @@ def elbow_bodies(arm: ArmDescription) -> list[Capsule]:
 
 def _boxes(plan: Plan, arm: ArmDescription, *groups: list[Capsule]) -> list[Box]:
     """Return the box of each group of spheres that move with the links."""
-    from hil.dynamics import CapsuleChain
-
     bodies = [body for group in groups for body in group]
     chain, radius = CapsuleChain(arm, bodies), np.array([body.radius for body in bodies])
     low, high = np.full((3, len(bodies)), np.inf), np.full((3, len(bodies)), -np.inf)

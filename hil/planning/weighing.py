@@ -12,6 +12,7 @@ import numpy as np
 
 from hil.arms import ArmDescription, Payload
 from hil.core import FloatArray, PlanError
+from hil.dynamics import Balance, RobotModel, static_columns, static_parameters
 from hil.excitation import Motion, Roadmap, Visit, draw_poses, pose_visit
 from hil.planning.plan import DwellRule, Plan
 from hil.robot import Capabilities
@@ -118,8 +119,6 @@ class _Candidates:
         loads: Sequence[Payload],
         roadmap: Roadmap,
     ) -> None:
-        from hil.dynamics import RobotModel, static_columns, static_parameters
-
         model = RobotModel.from_arm(arm.name, gravity=gravity)
         self._roadmap = roadmap
         self._heaviest = max(loads, key=lambda load: load.mass)
@@ -148,8 +147,6 @@ class _Candidates:
         return None
 
     def _worth(self, i: int) -> float:
-        from hil.dynamics import Balance
-
         rows = [*self._chosen, i]
         columns, torque = self._columns[rows], self._torque[rows]
         deviation = np.broadcast_to(self._deviation, torque.shape)

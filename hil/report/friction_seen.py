@@ -8,6 +8,7 @@ import numpy as np
 
 from hil.core import BoolArray, FloatArray, IntArray
 from hil.data import Dataset, Model, Prediction, series_means
+from hil.estimators import HasFrictionCurve, RobotEstimator, knows_torque
 from hil.report.fit_facts import HONEST
 
 PART, LEARNED = "friction", "residual"
@@ -88,8 +89,6 @@ class Friction:
 
 def scale_of(model: Model) -> tuple[FloatArray, str]:
     """What turns efforts of a model into its friction's unit, (n,) or (1,), and that unit."""
-    from hil.estimators import RobotEstimator, knows_torque
-
     if isinstance(model, RobotEstimator) and knows_torque(model):
         return model.torque_scale_, "N·m"
     return np.ones(1), "A"
@@ -153,8 +152,6 @@ def _told(prediction: Prediction) -> FloatArray:
 
 
 def _law(model: Model, qd: FloatArray) -> Law | None:
-    from hil.estimators import HasFrictionCurve
-
     if not isinstance(model, HasFrictionCurve):
         return None
     good = np.isfinite(qd)

@@ -14,6 +14,8 @@ from typing import Literal, TypeAlias, get_args
 
 from hil.core import DataError, PluginError, RecordingError, SpecError, plugins, write_replacing
 from hil.report.page_figures import PagePlots, figures_of
+from hil.report.paper_figure import drawn
+from hil.report.paper_plots import drawn_plots
 from hil.report.paper_tables import csv_text, latex_text
 from hil.report.study_words import distinct_titles
 from hil.studies import Figure, Part, StudyResult, Table, read_study, study_files
@@ -113,8 +115,6 @@ def _files(item: Item, formats: Sequence[str], width: str) -> Iterator[tuple[str
         yield f"{item.stem}.csv", csv_text(item.what).encode()
         yield f"{item.stem}.tex", latex_text(item.what).encode()
         return
-    from hil.report.paper_figure import drawn
-
     for name in dict.fromkeys(formats):
         yield f"{item.stem}.{name}", drawn(item.what, name, width)
 
@@ -149,8 +149,6 @@ def _is_of_study(plots: PagePlots) -> bool:
 def _page_files(
     stem: str, plots: PagePlots, formats: Sequence[str], width: str
 ) -> Iterator[tuple[str, bytes]]:
-    from hil.report.paper_plots import drawn_plots
-
     for name in dict.fromkeys(formats):
         yield f"{stem}.{name}", drawn_plots(plots.panels, name, width)
 

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hil.core import FloatArray
+from hil.dynamics import load_model
 from hil.planning import Plan, Step
 
 PLACES = 2000
@@ -66,8 +67,6 @@ class Timeline:
 
     def flange_places(self, plan: Plan) -> FloatArray:
         """(M, 3) flange positions [m] at measured poses, thinned."""
-        from hil.dynamics import load_model
-
         measured = [span.step.motion for span in self.spans if span.step.motion]
         if not measured:
             return np.empty((0, 3))

@@ -21,6 +21,7 @@ from hil.data import (
     prepare,
     series_means,
 )
+from hil.estimators import load_model_file
 from hil.report.documents import as_names
 from hil.report.fit_facts import FitFacts
 from hil.report.friction_seen import Friction, at_rest, in_motion, scale_of
@@ -108,7 +109,6 @@ def show(folder: Path, data: Dataset) -> Shown:
     Raises:
         HilError: The model cannot be loaded, or does not fit the data.
     """
-    from hil.estimators import load_model_file
     from hil.evaluation import usable_part
 
     model = load_model_file(folder)

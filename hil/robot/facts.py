@@ -21,6 +21,7 @@ from hil.robot.protocol import (
     Limits,
     Robot,
 )
+from hil.robot.topic import Topic
 
 if TYPE_CHECKING:
     from hil.robot.topic import Topic
@@ -100,8 +101,6 @@ def _limits_from(document: Mapping[str, Any]) -> Limits:
 
 
 def _topics_from(documents: Sequence[Mapping[str, Any]]) -> tuple[Topic, ...]:
-    from hil.robot.topic import Topic
-
     return tuple(Topic(**{**each, "dtype": dtype_of(each["dtype"])}) for each in documents)
 
 

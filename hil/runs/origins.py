@@ -6,6 +6,8 @@ of them fits a run keeps it; where they say too little, every run that may be me
 
 from __future__ import annotations
 
+from hil.models import probes_of
+
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -137,8 +139,6 @@ def origins(registries: Iterable[Path]) -> Origins:
 
 
 def _collect(root: Path, found: Origins) -> None:
-    from hil.models import probes_of
-
     if not root.is_dir():
         raise RegistryError(
             f"there is no registry {root}", hint="name the folder of the registered models"

@@ -6,6 +6,8 @@ they tell is in the run directories, and either is replaced when there is more t
 
 from __future__ import annotations
 
+from hil.report import render_series
+
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -99,8 +101,6 @@ class SeriesFolder:
         """
         moved = [{**run, **self._seen_from_here(run)} for run in runs]
         write_replacing(self.path / DOCUMENT, json_document({**self.head, "runs": moved}))
-        from hil.report import render_series
-
         try:
             return render_series(self.path)
         except HilError:

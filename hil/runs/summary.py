@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+
 import contextlib
 from collections.abc import Mapping
 from pathlib import Path
@@ -43,8 +44,7 @@ def next_command(listing: RunListing) -> str:
     if "replayed" in start:
         return ""
     if "commissioning" in start and (run.path / "report.html").is_file():
-        from hil.report import next_commissioning
-        from hil.report import read_facts
+        from hil.report import next_commissioning, read_facts  # noqa: PLC0415 - loads Pinocchio
 
         with contextlib.suppress(HilError):
             if listing.status != "completed":

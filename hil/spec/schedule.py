@@ -10,7 +10,7 @@ from zoneinfo import ZoneInfo
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from hil.core import Duration, read_source
+from hil.core import Duration, SpecError, read_source
 from hil.spec.load import refuse_other_kind, validated
 from hil.spec.named_files import make_absolute
 from hil.spec.quantities import Finite, FormatVersion, Name, Positive, Seed, Strict, mistake
@@ -215,8 +215,6 @@ class ScheduleSpec(Strict):
 
 def is_schedule(path: str | FilePath) -> bool:
     """Whether a file says that it is a schedule; one that cannot be read says nothing."""
-    from hil.core import SpecError
-
     try:
         data = read_source(path).data
     except SpecError:

@@ -6,7 +6,7 @@ from pathlib import Path as FilePath
 
 from pydantic import Field
 
-from hil.core import Path, Source, read_source
+from hil.core import Path, Source, SpecError, read_source
 from hil.spec.load import refuse_other_kind, validated
 from hil.spec.named_files import make_absolute
 from hil.spec.quantities import FormatVersion, Name, Strict
@@ -46,8 +46,6 @@ class SeriesSpec(Strict):
 
 def is_series(path: str | FilePath) -> bool:
     """Whether a file says that it is a series; one that cannot be read says nothing."""
-    from hil.core import SpecError
-
     try:
         data = read_source(path).data
     except SpecError:

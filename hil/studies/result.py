@@ -10,6 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
+from hil.core import card, number
+
 Style = Literal["line", "points", "bars", "identity"]
 """`identity` is the line y = x over the range of the panel; its x and y stay empty."""
 
@@ -38,7 +40,6 @@ class Table:
 
     def _repr_html_(self) -> str:
         """Itself in a notebook."""
-        from hil.core import card, number
 
         def told(value: Value) -> str:
             if isinstance(value, float) and self.decimals is not None:
@@ -154,8 +155,6 @@ class StudyResult:
 
     def _repr_html_(self) -> str:
         """Itself in a notebook: what to take away; its tables show themselves."""
-        from hil.core import card
-
         facts = {"study": self.study, "parts": ", ".join(part.title for part in self.parts)}
         return card("Study", self.title, facts, notes=(*self.summary, *self.warnings))
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.core import DataError, FitError
+from hil.estimators import json_bytes, write_whole
 from hil.studies.result import StudyResult
 from hil.studies.soundness import faults_of
 
@@ -26,8 +27,6 @@ DIGEST_LENGTH = 12
 def folder_of(name: str, parameters: Mapping[str, Any]) -> str:
     """`<name>-<digest>` of a study with all its parameters, defaults included."""
     # Not at the top: reading a result must not load the estimators.
-    from hil.estimators import json_bytes
-
     text = json_bytes({"study": name, "parameters": dict(sorted(parameters.items()))})
     return f"{name}-{hashlib.sha256(text).hexdigest()[:DIGEST_LENGTH]}"
 
@@ -85,8 +84,6 @@ def problem_files(run: Path) -> Sequence[Path]:
 
 
 def _write(path: Path, document: Mapping[str, Any]) -> Path:
-    from hil.estimators import json_bytes, write_whole
-
     path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, json_bytes(document))
     return path

@@ -46,9 +46,9 @@ from .resuming import require_resumable as require_resumable
 from .resuming import require_same_robot as require_same_robot
 from .robot_status import BenchRobot as BenchRobot
 from .robot_status import bench as bench
-from .run import RunReport as RunReport
 from .run import resume_experiment as resume_experiment
 from .run import run_experiment as run_experiment
+from .run_report import RunReport as RunReport
 from .series import Ended as Ended
 from .series import Series as Series
 from .series import SeriesReport as SeriesReport

@@ -6,7 +6,7 @@ Asked before anything connects.
 from __future__ import annotations
 
 from hil.core import SpecError
-from hil.planning import Experiment
+from hil.planning import Experiment, opened
 from hil.robot import Capabilities
 from hil.workflow.arm_check import require_within_reach
 
@@ -22,8 +22,6 @@ def check_driver(experiment: Experiment) -> Capabilities:
             Or the arm cannot do what the spec asks; the message names every place in its file.
         PluginError: There is no such driver, or it does not load.
     """
-    from hil.planning import opened
-
     name = experiment.spec.robot
     place = f"{experiment.station_source}: robots.{name}"
     try:

@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from hil.arms import is_described, load_arm
+from hil.dynamics import SampleDistances
 from hil.engine import InterlockContext, Interlocks, interlocks_from_spec
 from hil.planning import Experiment, Plan, collision_model, flange_space
 from hil.robot import HasSpeedScaling, Robot
@@ -33,8 +34,6 @@ def interlocks_for(
         PlanError: An interlock of the spec cannot be judged on this robot; all are listed.
         PluginError: A plug-in does not load.
     """
-    from hil.dynamics import SampleDistances
-
     can, surroundings = robot.capabilities, experiment.robot.surroundings
     sizes = [load.size_m for load in plan.loads]
     arm = load_arm(plan.robot_model) if is_described(plan.robot_model) else None

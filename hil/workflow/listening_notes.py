@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from hil.core import HilError
+from hil.dynamics import load_model
+from hil.estimators import StaticWls
 from hil.robot import Status
 
 NOT_USABLE = Status.FAULT | Status.MASKED
@@ -46,9 +48,6 @@ def fit_notes(found: Mapping[str, int], robot: Mapping[str, Any]) -> tuple[str, 
 
 def dwells_needed(robot: Mapping[str, Any]) -> int:
     """Return the fewest dwells that static-wls needs; 0 where the robot is unknown."""
-    from hil.dynamics import load_model
-    from hil.estimators import StaticWls
-
     try:
         model = load_model(str(robot["model"]), gravity=robot["gravity_m_s2"])
     except (HilError, KeyError):

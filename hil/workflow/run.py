@@ -4,86 +4,31 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from hil.core import HilError
-from hil.engine import Observer, Observers, SignalWatch, StopSignal, nobody_goes_on
+from hil.engine import (
+    Observer,
+    Observers,
+    SignalWatch,
+    StopSignal,
+    nobody_goes_on,
+    require_waivable,
+)
 from hil.estimators import models_below
-from hil.evaluation import VerdictWord, verdict_word
+from hil.evaluation import verdict_word
 from hil.planning import Experiment
 from hil.recording import RunDirectory
+from hil.report import render_report
+from hil.workflow.control_files import hold_attempt
 from hil.workflow.desk import Desk, console_desk
+from hil.workflow.execute import Attendance
+from hil.workflow.recording import record
+from hil.workflow.run_report import RunReport
 
 if TYPE_CHECKING:
     from hil.workflow.attempt import Recorded
-    from hil.workflow.execute import Attendance
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RunReport:
-    """What came of an experiment.
-
-    Attributes:
-        run: The run directory.
-        uid: Its identity.
-        outcome: `completed`, `stopped`, `tripped` or `failed`.
-        verdict: Of the models on held-out data; `not judged` when the run ended early or the
-            spec has no criteria.
-        samples, gaps, duplicates: Of the robot record, by device clock.
-        models: Folders of what was fitted, by name.
-        report: The HTML page, None if it could not be made.
-        error: What ended the run or the fit early.
-    """
-
-    run: Path
-    uid: str
-    outcome: str
-    verdict: VerdictWord
-    samples: int
-    gaps: int
-    duplicates: int
-    models: tuple[Path, ...]
-    report: Path | None
-    error: HilError | None = None
-
-    def __repr__(self) -> str:
-        return f"<RunReport {self.run}: {self.outcome}, {self.verdict}>"
-
-    def _repr_html_(self) -> str:
-        """Itself in a notebook."""
-        from hil.core import Tone, card
-
-        tones: dict[str, Tone] = {"passed": "pass", "rejected": "fail"}
-        facts = {
-            "outcome": self.outcome,
-            "samples": f"{self.samples:,}",
-            "gaps": self.gaps,
-            "duplicates": self.duplicates,
-            "models": ", ".join(folder.name for folder in self.models),
-            "report": self.report or "",
-        }
-        notes = [self.error.message] if self.error else []
-        badge = (self.verdict, tones.get(self.verdict, "warn"))
-        return card("Run", self.run, facts, badge=badge, notes=notes)
-
-    def to_dict(self) -> dict[str, Any]:
-        """The contract of `hil run --json`."""
-        out: dict[str, Any] = {
-            "run": str(self.run),
-            "uid": self.uid,
-            "outcome": self.outcome,
-            "verdict": self.verdict,
-            "samples": self.samples,
-            "gaps": self.gaps,
-            "duplicates": self.duplicates,
-            "models": [str(folder) for folder in self.models],
-            "report": str(self.report) if self.report else None,
-        }
-        if self.error is not None:
-            out["error"] = {"kind": type(self.error).__name__, "message": self.error.message}
-        return out
 
 
 def run_experiment(
@@ -108,7 +53,6 @@ def run_experiment(
     Raises:
         HilError: What went wrong before there was a run directory; later errors are in the report.
     """
-    from hil.workflow.recording import record
 
     def motion(attendance: Attendance) -> Recorded:
         return record(experiment, runs=runs, attendance=attendance)
@@ -138,7 +82,6 @@ def resume_experiment(
     Raises:
         HilError: What keeps the run from being resumed; later errors are in the report.
     """
-    from hil.workflow.control_files import hold_attempt
     from hil.workflow.resuming import open_unfinished, recorded_before, resume_recording
 
     RunDirectory.open(run)
@@ -163,9 +106,6 @@ def _attended(
     desk: Desk | None,
 ) -> RunReport:
     """Motion, fit, verdict and report, with signals and observers looked after."""
-    from hil.engine import require_waivable
-    from hil.workflow.execute import Attendance
-
     require_waivable(waivers)
     watching, at = Observers(tuple(observers)), desk or console_desk(operator)
     signals = SignalWatch(attended=at.go_on is not nobody_goes_on)
@@ -217,8 +157,6 @@ def _told(recorded: Recorded, page: Path | None, error: HilError | None) -> RunR
 
 
 def _report(run: Path) -> tuple[Path | None, HilError | None]:
-    from hil.report import render_report
-
     try:
         return render_report(run), None
     except HilError as error:

@@ -10,6 +10,7 @@ import numpy as np
 
 from hil.arms import Payload
 from hil.core import DataError, FloatArray, StructArray
+from hil.dynamics import Balance, static_columns, static_parameters
 from hil.planning import Step
 from hil.robot import Capabilities, Status
 
@@ -142,8 +143,6 @@ def compare(
         loads: The first load and the one to be weighed, as declared.
         readings: Of these.
     """
-    from hil.dynamics import Balance, static_columns, static_parameters
-
     first, load = loads
     at = {step.pose: step.motion.q_end for step in steps if step.motion is not None}
     columns = static_columns(model, np.array([at[pose] for pose in sorted(at)]))

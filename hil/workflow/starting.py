@@ -24,6 +24,7 @@ from hil.workflow.detached import begin, ticks_of
 from hil.workflow.driver_check import check_driver
 from hil.workflow.extras import require_extras
 from hil.workflow.resuming import require_resumable
+from hil.workflow.series import load_series
 from hil.workflow.started import FOLDER, Started, started_runs
 
 __all__ = ["Started", "check_resume", "check_start", "go_on_with", "start_run", "started_runs"]
@@ -58,8 +59,6 @@ def check_start(
             f"{spec} is a schedule, which runs by itself", hint=f"hil schedule run {spec}"
         )
     if is_series(spec):
-        from hil.workflow.series import load_series
-
         if overrides:
             raise SpecError(f"{spec} is a series: --set is for experiments")
         experiments = load_series(spec, station).experiments

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 from hil.core import DataError, PreflightFailed, StructArray
+from hil.dynamics import load_model
 from hil.planning import Plan, Step, is_sweep, why_plan_not_weighed
 from hil.robot import Capabilities
 from hil.spec import Weigh
@@ -75,8 +76,6 @@ class Weighing:
         self._not_weighed = why_plan_not_weighed(plan, robot)
         if not self._not_weighed:
             # Here and not when it is needed: the arm is about to be watched all the time.
-            from hil.dynamics import load_model
-
             self._model = load_model(plan.robot_model, gravity=gravity)
         elif is_sweep(plan):
             self._event(CHECK, result="skipped", reason=self._not_weighed)

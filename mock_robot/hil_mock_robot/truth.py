@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
-from hil.core import DataError
+from hil.core import DataError, write_replacing
 
 Profile = Literal["ideal", "full"]
 SCHEMA = 1
@@ -190,8 +190,6 @@ class Truth:
         Raises:
             RecordingError: The file cannot be written.
         """
-        from hil.core import write_replacing
-
         write_replacing(Path(path), (json.dumps(asdict(self), indent=1) + "\n").encode())
         return Path(path)
 

@@ -17,6 +17,7 @@ from hil_drivers.cia402.facts import capabilities_of, limits_of
 from hil_drivers.cia402.mapping import MAPPINGS
 from hil_drivers.cia402.options import options_of
 from hil_drivers.cia402.reach import reached
+from hil_drivers.cia402.replay import Replay
 from hil_drivers.cia402.rows import raw_topic
 
 DRIVER = "hil_drivers.cia402.axes_robot:AxesRobot"
@@ -62,8 +63,6 @@ class Cia402Robot(RobotProcess):
         cls, log: Path, model: str, options: Mapping[str, Any], robot: Mapping[str, Any]
     ) -> RecordedLog:
         """See `hil.robot.logs.ReadsLogs`."""
-        from hil_drivers.cia402.replay import Replay
-
         return Replay(log, model, options, robot)
 
     def set_gravity(self, gravity_m_s2: tuple[float, float, float]) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 
 from hil.arms import Payload, arm_names
 from hil.core import FloatArray, SpecError
+from hil.dynamics import RobotModel
 
 if TYPE_CHECKING:
     from hil.dynamics import RobotModel
@@ -56,8 +57,6 @@ class TorqueModel:
 
 
 def _robot_model(model: str, urdf: str, gravity: tuple[float, float, float]) -> RobotModel:
-    from hil.dynamics import RobotModel
-
     if not urdf:
         return RobotModel.from_arm(model, gravity=gravity)
     robot = RobotModel.from_urdf(Path(urdf), gravity=gravity)

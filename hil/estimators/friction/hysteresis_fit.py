@@ -10,6 +10,7 @@ import numpy as np
 from hil.core import FloatArray
 from hil.data import Dataset, FilterSettings
 from hil.dynamics import BaseParameters, RobotModel
+from hil.estimators.checks import require_rank
 from hil.estimators.friction.law import FrictionLaw
 from hil.estimators.friction.learning import Training, core_groups, rigid_of
 from hil.estimators.friction.library import LEAST_LOAD, LOADED, Columns, groups, rungs
@@ -144,8 +145,6 @@ class HysteresisFit:
         return notes
 
     def _require_excited(self, solved: Solved) -> None:
-        from hil.estimators.checks import require_rank
-
         weighted = solved.weighted
         X, _ = weighted.weighted_system()
         names = (*self.base.names, *(f"friction {i}" for i in range(X.shape[1] - self.base.rank)))

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal, Protocol
 import numpy as np
 
 from hil.core import BoolArray, FloatArray, PlanError
+from hil.dynamics import IdentificationColumns
 from hil.excitation.optimiser.series_basis import SeriesBasis
 
 if TYPE_CHECKING:
@@ -112,8 +113,6 @@ class ExcitationProblem:
     @cached_property
     def columns(self) -> IdentificationColumns:
         """The parameters that are to be identified."""
-        from hil.dynamics import IdentificationColumns
-
         return IdentificationColumns(
             self.robot,
             rotor=self.rotor,

@@ -7,6 +7,7 @@ import time
 import numpy as np
 
 from hil.core import FloatArray, PlanError
+from hil.dynamics import conditioning
 from hil.excitation.optimiser.draw import draw
 from hil.excitation.optimiser.improve import Search
 from hil.excitation.optimiser.linear_limits import LinearLimits
@@ -178,8 +179,6 @@ class _Tale:
 def _result(
     problem: ExcitationProblem, free: FloatArray, starts: tuple[Start, ...], cpu_s: float
 ) -> Optimised:
-    from hil.dynamics import conditioning
-
     series = problem.basis.series(free, problem.periods)
     information = problem.information(series)
     condition = conditioning(information)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from hil.core import FloatArray
+from hil.dynamics import log_condition, neg_log_det
 
 if TYPE_CHECKING:
     from hil.excitation.optimiser.problem import ExcitationProblem
@@ -46,8 +47,6 @@ class ValueOf:
 
     def __call__(self, free: FloatArray, sharpness: float) -> Value:
         """At free coefficients (n, f)."""
-        from hil.dynamics import log_condition, neg_log_det
-
         self.evaluations += 1
         rows = self._problem.columns.rows(*(part @ free.T for part in self._maps))
         G = rows.transposed @ rows.transposed.T + self._earlier

@@ -13,6 +13,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil.core import HilError, one_thread
+from hil.engine import nobody_goes_on
+from hil.maintenance.fleet.members import experiment_for
+from hil.recording import RunDirectory
+from hil.workflow import Unconfirmed, check_driver, console_desk, resume_experiment, run_experiment
 
 if TYPE_CHECKING:
     from hil.planning import Experiment
@@ -72,16 +76,6 @@ def _told(error: HilError) -> dict[str, Any]:
 
 
 def _run(job: Job) -> RunReport:
-    from hil.engine import nobody_goes_on
-    from hil.recording import RunDirectory
-    from hil.workflow import (
-        Unconfirmed,
-        check_driver,
-        console_desk,
-        resume_experiment,
-        run_experiment,
-    )
-
     def desk(confirm: Confirm | None) -> Desk:
         refused = Unconfirmed("start it with: hil fleet run")
         attended = console_desk(job.operator, confirm=confirm or refused)
@@ -102,8 +96,6 @@ def _run(job: Job) -> RunReport:
 
 
 def _experiment(job: Job) -> Experiment:
-    from hil.maintenance.fleet.members import experiment_for
-
     station = Path(job.station) if job.station else None
     return experiment_for(job.spec.read_text("utf-8"), job.folder, station, job.spec)
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from hil.maintenance.pipeline.earlier import earlier_probes
 from hil.maintenance.pipeline.stages import Document
-from hil.models import Entry, Registry
+from hil.models import Entry, Registry, challenge
 
 
 def decided(registry: Registry, name: str, key: str, number: int) -> Entry | None:
@@ -91,8 +91,6 @@ class Decision:
 
     def _challenge(self) -> None:
         """The campaign's criteria speak of its own held-out motions, and are met there."""
-        from hil.models import challenge
-
         done = self.done
         taken = [done[stage].get("run") for stage in ("campaign", "probe", "check")]
         earlier: list[Path] = []

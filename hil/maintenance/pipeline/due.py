@@ -21,7 +21,7 @@ from hil.maintenance.pipeline.measuring import Measuring
 from hil.maintenance.pipeline.outcome import errors_on, summary
 from hil.maintenance.pipeline.stages import Document, Stage
 from hil.maintenance.schedule.occasion import Occasion
-from hil.models import Registry
+from hil.models import Registry, assess, facts_of
 from hil.planning import Experiment
 from hil.recording import utc_now
 from hil.spec import spec_hash
@@ -98,8 +98,6 @@ class Due:
 
     def drift(self, done: Done) -> Document:
         """Whether the probe shows a change, and which."""
-        from hil.models import assess
-
         if SKIPPED in done["probe"]:
             return done["probe"]
         self.tell("drift")
@@ -153,8 +151,6 @@ class Due:
 
     def register(self, done: Done) -> Document:
         """The model as a version, to be compared with the champion."""
-        from hil.models import facts_of
-
         if SKIPPED in done["fit"]:
             return done["fit"]
         self.tell("register")

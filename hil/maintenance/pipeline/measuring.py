@@ -17,6 +17,7 @@ from hil.core import HilError, RobotError, Stopped, exit_code_of
 from hil.engine import Observer, nobody_goes_on
 from hil.planning import Experiment, held, opened
 from hil.recording import RunDirectory, run_folders
+from hil.report import render_report
 from hil.robot import address_of
 from hil.spec import StudyEntry, spec_hash
 from hil.workflow import (
@@ -27,9 +28,11 @@ from hil.workflow import (
     RunReport,
     Unconfirmed,
     describe_robot,
+    missing_studies,
     require_same_robot,
     resume_experiment,
     run_experiment,
+    run_studies,
     whole,
 )
 
@@ -148,9 +151,6 @@ def _complete_views(run: Path, entries: Sequence[StudyEntry]) -> None:
     """Make the missing studies and report of a run whose process died after its verdict."""
     if RunDirectory(run).is_reported:
         return
-    from hil.report import render_report
-    from hil.workflow import missing_studies, run_studies
-
     with contextlib.suppress(HilError):  # a study that fails does not invalidate the run
         run_studies(run, missing_studies(run, entries))
     with contextlib.suppress(HilError):

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hil.evaluation import evaluate, usable_part
+from hil.importers import load_source
 from hil.maintenance.pipeline.stages import Document
 from hil.models import Registry
 
@@ -71,9 +73,6 @@ def errors_on(registry: Registry, name: str, done: Done) -> Document | None:
 
 
 def _on(registry: Registry, name: str, label: str, run: Path) -> Evaluation:
-    from hil.evaluation import evaluate, usable_part
-    from hil.importers import load_source
-
     model = registry.load(name, label)
     return evaluate(model, usable_part(load_source(run), model))
 

@@ -10,6 +10,7 @@ from hil.maintenance.schedule.occasion import Job
 from hil.maintenance.schedule.times import next_free
 from hil.planning import Experiment
 from hil.spec import ScheduleSpec
+from hil.workflow import preview_experiment
 
 ALLOWANCE = 1.1
 """Share of a plan's time that settling and pauses of the controller may add to it."""
@@ -50,8 +51,6 @@ def motions(spec: ScheduleSpec, probe: Experiment | None, campaign: Experiment) 
     Raises:
         PlanError: No safe plan follows from one of them.
     """
-    from hil.workflow import preview_experiment
-
     short, full = (
         timedelta(seconds=round(preview_experiment(each)[1].duration_s)) if each else timedelta()
         for each in (probe, campaign)

@@ -7,7 +7,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from hil.core import HilError
-from hil.planning import Experiment
+from hil.engine import REST_RAD_S, own_checks
+from hil.planning import Experiment, held
+from hil.robot import Status
+from hil.workflow import check_driver
 
 if TYPE_CHECKING:
     from hil.robot import Robot
@@ -33,9 +36,6 @@ class RobotReady:
 
     def __call__(self) -> str:
         """Ask."""
-        from hil.planning import held
-        from hil.workflow import check_driver
-
         try:
             if check_driver(self.experiment).clock == "virtual":
                 return ""
@@ -50,9 +50,6 @@ class RobotReady:
 def _trouble(robot: Robot) -> str:
     """What keeps a connected robot from being moved."""
     import numpy as np
-
-    from hil.engine import REST_RAD_S, own_checks
-    from hil.robot import Status
 
     state = robot.read()[-1]
     told = []

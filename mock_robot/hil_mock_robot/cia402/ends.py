@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from hil.can import ERROR, EXTENDED, REMOTE, Frame, Hub
+from hil.can import ERROR, EXTENDED, REMOTE, Frame, Hub, runtime_folder, socket_path
 
 Heard = Callable[[int, bytes, float], None]
 """COB-ID, data, wall time (monotonic)."""
@@ -116,8 +116,6 @@ def side_path(interface: str, channel: str) -> str:
         interface: As of `end_of`.
         channel: Of the bus.
     """
-    from hil.can import runtime_folder, socket_path
-
     if interface == HOSTED:
         return os.fspath(socket_path(channel).with_suffix(".side"))
     return os.fspath(runtime_folder() / f"{interface}-{channel}.side")
