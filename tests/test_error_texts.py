@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[1]
 FOLDERS = ("hil", "drivers/hil_drivers", "mock_robot/hil_mock_robot")
 KINDS = {
     node.name
-    for node in ast.parse((ROOT / "hil" / "errors.py").read_text("utf-8")).body
+    for node in ast.parse((ROOT / "hil" / "core" / "errors.py").read_text("utf-8")).body
     if isinstance(node, ast.ClassDef)
 }
 

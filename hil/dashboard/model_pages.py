@@ -10,6 +10,7 @@ from starlette.routing import Route
 
 from hil.core import shell_word
 from hil.dashboard.drawing import timeline
+from hil.dashboard.drift_facts import drift_of
 from hil.dashboard.model_facts import (
     deed,
     error_of,
@@ -37,8 +38,6 @@ def models(request: Request) -> Response:
 
 def model(request: Request) -> Response:
     """One name: champions, drift, versions, and what was done to them."""
-    from hil.dashboard.drift_facts import drift_of  # SciPy and more: a dashboard starts without
-
     settings, name = settings_of(request), request.path_params["name"]
     registry, problems = Registry(settings.registry), list[str]()
     versions = readable_versions(registry, name, problems)

@@ -9,6 +9,8 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+
 from hil.doctor.finding import Finding
 
 LEAST_PYTHON = (3, 11)
@@ -32,7 +34,6 @@ def cores() -> int:
 
 def blas() -> Iterator[Finding]:
     """Threads that linear algebra starts in every process: idle ones spin beside the others."""
-    import numpy as np
     import threadpoolctl
 
     np.dot(np.eye(2), np.eye(2))  # the library is loaded when it is used

@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from hil.core import HilError
 from hil.engine import REST_RAD_S, own_checks
 from hil.planning import Experiment, held
@@ -49,8 +51,6 @@ class RobotReady:
 
 def _trouble(robot: Robot) -> str:
     """What keeps a connected robot from being moved."""
-    import numpy as np
-
     state = robot.read()[-1]
     told = []
     if int(state["status"]) & Status.FAULT or int(state["fault_code"]):
