@@ -25,7 +25,8 @@ from hil.robot.topic import STATE_TOPIC
 CHILD = """
 import mmap, os, struct, sys, time
 from pathlib import Path
-from hil.recording import STATE_TOPIC, McapWriter, Recorder, state_topic
+from hil.recording import McapWriter, Recorder
+from hil.robot import STATE_TOPIC, state_topic
 from hil.recording.parts import part_name
 
 folder, slow, rotate = Path(sys.argv[1]), float(sys.argv[2]), float(sys.argv[3])

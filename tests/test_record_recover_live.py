@@ -28,7 +28,8 @@ RECORDING = """
 import subprocess, sys
 from pathlib import Path
 from recorded_rows import rows_of, six_axis_topic
-from hil.recording import STATE_TOPIC, McapWriter
+from hil.recording import McapWriter
+from hil.robot import STATE_TOPIC
 writer = McapWriter(Path(sys.argv[1]), [six_axis_topic()])
 writer.write(STATE_TOPIC, rows_of(six_axis_topic(), 200))
 writer.flush(durable=False)

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from hil.arms import load_arm
+from hil.arms import Payload, load_arm
 from hil.core.errors import CommandRefused, RobotConnectionError, SpecError
-from hil.robot import Capabilities, Identity, Limits, Payload, Segment, Status, state_dtype
+from hil.robot import Capabilities, Identity, Limits, Segment, Status, state_dtype
 
 BLOCK = 16
 
