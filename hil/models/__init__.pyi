@@ -1,20 +1,47 @@
-from .blocks import (BLOCK_S as BLOCK_S)
-from .compare import (FEWEST_BLOCKS as FEWEST_BLOCKS, compare_sources as compare_sources)
-from .drift.bands import (Banded as Banded, banded as banded)
-from .drift.chart import (REFERENCE as REFERENCE)
-from .drift.features import (DRIFT_BLOCK_S as DRIFT_BLOCK_S, FEWEST_DRIFT_BLOCKS as FEWEST_DRIFT_BLOCKS, JOINT_FEATURES as JOINT_FEATURES, UNITS as UNITS)
-from .drift.history import (PROBES_FILE as PROBES_FILE, Probe as Probe, assess as assess, probes_of as probes_of)
-from .drift.warmth import (friction_change as friction_change)
-from .facts import (facts_of as facts_of)
-from .fleet_fit_task import (How as How)
-from .fleet_fitting import (fit_runs as fit_runs)
-from .fleet_folder import (FleetFolder as FleetFolder, MODELS as MODELS, PAGE as PAGE, completed as completed, is_fleet_folder as is_fleet_folder)
-from .fleet_outliers import (FAMILY_WISE as FAMILY_WISE, FEWEST as FEWEST, Standing as Standing)
-from .fleet_robot_fit import (RobotFit as RobotFit, kept as kept, registered as registered, robot_of as robot_of)
-from .fleet_survey import (Survey as Survey, survey_fleet as survey_fleet)
-from .fleet_surveyed import (Surveyed as Surveyed)
-from .log import (Aliases as Aliases, CHAMPION_EVENTS as CHAMPION_EVENTS, Entry as Entry, LOG_FILE as LOG_FILE, append_line as append_line, read_lines as read_lines, read_log as read_log)
-from .pointers import (pointed as pointed)
-from .promotion import (challenge as challenge, require_promoted as require_promoted)
-from .registry import (Registry as Registry)
-from .version import (ModelVersion as ModelVersion, numbers_in as numbers_in, read_version as read_version)
+from .blocks import BLOCK_S as BLOCK_S
+from .compare import FEWEST_BLOCKS as FEWEST_BLOCKS
+from .compare import compare_sources as compare_sources
+from .drift.bands import Banded as Banded
+from .drift.bands import banded as banded
+from .drift.chart import REFERENCE as REFERENCE
+from .drift.features import DRIFT_BLOCK_S as DRIFT_BLOCK_S
+from .drift.features import FEWEST_DRIFT_BLOCKS as FEWEST_DRIFT_BLOCKS
+from .drift.features import JOINT_FEATURES as JOINT_FEATURES
+from .drift.features import UNITS as UNITS
+from .drift.history import PROBES_FILE as PROBES_FILE
+from .drift.history import Probe as Probe
+from .drift.history import assess as assess
+from .drift.history import probes_of as probes_of
+from .drift.warmth import friction_change as friction_change
+from .facts import facts_of as facts_of
+from .fleet_fit_task import How as How
+from .fleet_fitting import fit_runs as fit_runs
+from .fleet_folder import MODELS as MODELS
+from .fleet_folder import PAGE as PAGE
+from .fleet_folder import FleetFolder as FleetFolder
+from .fleet_folder import completed as completed
+from .fleet_folder import is_fleet_folder as is_fleet_folder
+from .fleet_outliers import FAMILY_WISE as FAMILY_WISE
+from .fleet_outliers import FEWEST as FEWEST
+from .fleet_outliers import Standing as Standing
+from .fleet_robot_fit import RobotFit as RobotFit
+from .fleet_robot_fit import kept as kept
+from .fleet_robot_fit import registered as registered
+from .fleet_robot_fit import robot_of as robot_of
+from .fleet_survey import Survey as Survey
+from .fleet_survey import survey_fleet as survey_fleet
+from .fleet_surveyed import Surveyed as Surveyed
+from .log import CHAMPION_EVENTS as CHAMPION_EVENTS
+from .log import LOG_FILE as LOG_FILE
+from .log import Aliases as Aliases
+from .log import Entry as Entry
+from .log import append_line as append_line
+from .log import read_lines as read_lines
+from .log import read_log as read_log
+from .pointers import pointed as pointed
+from .promotion import challenge as challenge
+from .promotion import require_promoted as require_promoted
+from .registry import Registry as Registry
+from .version import ModelVersion as ModelVersion
+from .version import numbers_in as numbers_in
+from .version import read_version as read_version

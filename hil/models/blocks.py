@@ -7,8 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from hil.core import FloatArray
-from hil.data import Dataset
-from hil.data import SAME_PLACE_RAD
+from hil.data import SAME_PLACE_RAD, Dataset
 
 BLOCK_S = 5.0
 """Of time that counts as one observation; friction and load keep errors alike for about as long."""

@@ -8,8 +8,6 @@ own; Student's t of the blocks says what the difference may be with 95 %.
 
 from __future__ import annotations
 
-from hil.core import Tone, card, number
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,16 +16,12 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student
 
-from hil.core import RegistryError
-from hil.core import (BoolArray, FloatArray)
-from hil.data import Dataset
-from hil.data import SAME_SHARE
+from hil.core import BoolArray, FloatArray, RegistryError, Tone, card, number
+from hil.data import SAME_SHARE, Dataset
 from hil.estimators import RobotEstimator
-from hil.evaluation import filtered_effort
-from hil.evaluation import usable_part
-from hil.evaluation import (require_unseen, seen_share)
+from hil.evaluation import filtered_effort, require_unseen, seen_share, usable_part
 from hil.importers import load_source
-from hil.models.blocks import (BLOCK_S, blocks, by_place)
+from hil.models.blocks import BLOCK_S, blocks, by_place
 
 SURE = 0.95
 FEWEST_BLOCKS = 4

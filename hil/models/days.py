@@ -17,7 +17,7 @@ from scipy.stats import t as student
 from hil.core import FloatArray
 from hil.estimators import RobotEstimator
 from hil.evaluation import evaluate
-from hil.models.compare import (SURE, unseen_parts)
+from hil.models.compare import SURE, unseen_parts
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,12 +7,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from hil.core import (DataError, RegistryError)
-from hil.core import (read_json, sha256_of)
+from hil.core import DataError, RegistryError, read_json, sha256_of
 from hil.estimators import MODEL_FILE
 from hil.evaluation import EVALUATION_FILE
-from hil.recording import (package_versions, source_revision)
-from hil.recording import PARTIAL_SUFFIX
+from hil.recording import PARTIAL_SUFFIX, package_versions, source_revision
 
 FIT_FOLDER = "fit"
 

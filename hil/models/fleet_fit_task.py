@@ -9,18 +9,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from hil.core import HilError
-from hil.core import json_document
-from hil.models.drift.history import identity
+from hil.core import HilError, json_document
 from hil.dynamics import load_model
 from hil.estimators import estimator as make_estimator
-from hil.evaluation import (fit_dataset, usable_part)
-from hil.evaluation import (Parts, hold_out)
-from hil.evaluation import judged_model
-from hil.evaluation import EVALUATION_FILE
-from hil.importers import (load_source, serial_of)
-from hil.spec import Accept
-from hil.spec import load_spec
+from hil.evaluation import EVALUATION_FILE, Parts, fit_dataset, hold_out, judged_model, usable_part
+from hil.importers import load_source, serial_of
+from hil.models.drift.history import identity
+from hil.spec import Accept, load_spec
 
 
 @dataclass(frozen=True, slots=True)

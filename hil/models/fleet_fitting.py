@@ -8,12 +8,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from hil.core import cluster
-from hil.core import (DataError, FitError)
-from hil.core import processes
-from hil.core import (TRIES, spread)
+from hil.core import TRIES, DataError, FitError, cluster, processes, spread
 from hil.models.drift.history import identity
-from hil.models.fleet_fit_task import (FitResult, How, Sent, fit_at)
+from hil.models.fleet_fit_task import FitResult, How, Sent, fit_at
 
 Tell = Callable[[int], object]
 """Told how many are done."""

@@ -15,11 +15,20 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from hil.core import (DataError, RecordingError)
-from hil.core import (json_document, new_folder, read_json, require_known_version, write_once, write_replacing)
-from hil.core import hold
-from hil.core import (Holder, this_process)
-from hil.recording import (name_for_path, run_folders)
+from hil.core import (
+    DataError,
+    Holder,
+    RecordingError,
+    hold,
+    json_document,
+    new_folder,
+    read_json,
+    require_known_version,
+    this_process,
+    write_once,
+    write_replacing,
+)
+from hil.recording import name_for_path, run_folders
 
 DOCUMENT, PAGE, SPECS, MODELS = "fleet.json", "fleet.html", "specs", "models"
 FORMAT = 1

@@ -17,7 +17,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from hil.core import (BoolArray, FloatArray)
+from hil.core import BoolArray, FloatArray
 
 FAMILY_WISE = 0.01
 """Probability that in a fleet of equals anybody stands out at all."""

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from hil.models.facts import facts_of
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from hil.core import DataError
-from hil.core import read_json
+from hil.core import DataError, read_json
 from hil.estimators import write_whole
-from hil.evaluation import (VerdictWord, verdict_word)
+from hil.evaluation import VerdictWord, verdict_word
+from hil.models.facts import facts_of
 from hil.models.fleet_fit_task import FitResult
 from hil.models.registry import Registry
 

@@ -9,15 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from hil.core import (DataError, HilError)
-from hil.core import FloatArray
-from hil.models.drift.history import probes_of
+from hil.core import DataError, FloatArray, HilError
 from hil.estimators import models_below
+from hil.models.drift.history import probes_of
 from hil.models.fleet_fitting import computed
-from hil.models.fleet_folder import (MODELS, FleetFolder, completed)
-from hil.models.fleet_outliers import (FAMILY_WISE, Standing, standing)
+from hil.models.fleet_folder import MODELS, FleetFolder, completed
+from hil.models.fleet_outliers import FAMILY_WISE, Standing, standing
 from hil.models.fleet_robot_fit import robot_of
-from hil.models.fleet_surveyed import (Surveyed, surveyed)
+from hil.models.fleet_surveyed import Surveyed, surveyed
 from hil.models.registry import Registry
 
 

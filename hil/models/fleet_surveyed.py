@@ -2,11 +2,6 @@
 
 from __future__ import annotations
 
-from hil.estimators import load_model_file
-from hil.evaluation import usable_part
-from hil.importers import load_source
-from hil.spec import load_station
-
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -14,11 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from hil.core import (FitError, HilError)
-from hil.core import read_json
-from hil.core import FloatArray
+from hil.core import FitError, FloatArray, HilError, read_json
+from hil.estimators import load_model_file
+from hil.evaluation import usable_part
+from hil.importers import load_source
 from hil.models.drift.history import Probe
 from hil.models.fleet_robot_fit import robot_of
+from hil.spec import load_station
 
 DAYS_A_YEAR = 365.25
 

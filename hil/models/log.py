@@ -18,12 +18,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from hil.core import RegistryError
-from hil.core import fsync_directory
-from hil.core import (json_text, shell_word)
-from hil.estimators import (json_bytes, write_whole)
-from hil.recording import (operator, utc_now)
-from hil.models.version import (folder_of, numbers_in, read_version)
+from hil.core import RegistryError, fsync_directory, json_text, shell_word
+from hil.estimators import json_bytes, write_whole
+from hil.models.version import folder_of, numbers_in, read_version
+from hil.recording import operator, utc_now
 
 LOG_FILE = "log.jsonl"
 HEAD_FILE = "head.json"

@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from hil.core import Rejected
-from hil.evaluation import evaluate
-from hil.evaluation import (Criterion, Verdict, judge)
-from hil.models.compare import (Comparison, compare_sources, unseen_parts)
-from hil.models.days import (Days, over_days)
+from hil.evaluation import Criterion, Verdict, evaluate, judge
+from hil.models.compare import Comparison, compare_sources, unseen_parts
+from hil.models.days import Days, over_days
 from hil.models.registry import Registry
 from hil.models.version import ModelVersion
 

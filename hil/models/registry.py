@@ -7,24 +7,44 @@ enters it.
 
 from __future__ import annotations
 
-from hil.core import card
-
 import hashlib
 import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from hil.core import (RegistryError, SpecError)
-from hil.core import closest
-from hil.estimators import RobotEstimator
-from hil.estimators import load_model_file
-from hil.recording import (operator, utc_now)
+from hil.core import RegistryError, SpecError, card, closest
+from hil.estimators import RobotEstimator, load_model_file
 from hil.models.facts import facts_of
-from hil.models.registry_lock import writing
-from hil.models.log import (HEAD_FILE, LOG_FILE, Aliases, Entry, Event, Repair, append, damaged, inspect, last_number, read_log, registered_in, repair, settle, write_view)
+from hil.models.log import (
+    HEAD_FILE,
+    LOG_FILE,
+    Aliases,
+    Entry,
+    Event,
+    Repair,
+    append,
+    damaged,
+    inspect,
+    last_number,
+    read_log,
+    registered_in,
+    repair,
+    settle,
+    write_view,
+)
 from hil.models.pointers import leave_pointer
-from hil.models.version import (VERSION_FILE, ModelVersion, digest_of, folder_of, numbers_in, read_version, write_version)
+from hil.models.registry_lock import writing
+from hil.models.version import (
+    VERSION_FILE,
+    ModelVersion,
+    digest_of,
+    folder_of,
+    numbers_in,
+    read_version,
+    write_version,
+)
+from hil.recording import operator, utc_now
 
 FEW = 5
 """Names that a hint lists."""

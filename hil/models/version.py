@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from hil.core import card
-
 import hashlib
 import json
 import os
@@ -14,8 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hil.core import RegistryError
-from hil.core import fsync_directory
+from hil.core import RegistryError, card, fsync_directory
 from hil.estimators import json_bytes
 
 VERSION_FILE = "version.json"

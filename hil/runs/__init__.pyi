@@ -1,9 +1,19 @@
-from .facts import (started_s as started_s)
-from .listing import (find_run as find_run, listing_of as listing_of, run_listings as run_listings, run_paths as run_paths)
-from .removal import (leftovers as leftovers, remove as remove)
-from .retention import (Decision as Decision, Policy as Policy, decide as decide)
-from .run_folders import (known_runs as known_runs)
-from .series_folder import (SeriesFolder as SeriesFolder, is_series_folder as is_series_folder)
-from .stamp import (ALWAYS_READ as ALWAYS_READ, stamp_of as stamp_of)
-from .summary import (describe_run as describe_run, entry_of as entry_of, list_runs as list_runs)
-from .view import (find_runs as find_runs)
+from .facts import started_s as started_s
+from .listing import find_run as find_run
+from .listing import listing_of as listing_of
+from .listing import run_listings as run_listings
+from .listing import run_paths as run_paths
+from .removal import leftovers as leftovers
+from .removal import remove as remove
+from .retention import Decision as Decision
+from .retention import Policy as Policy
+from .retention import decide as decide
+from .run_folders import known_runs as known_runs
+from .series_folder import SeriesFolder as SeriesFolder
+from .series_folder import is_series_folder as is_series_folder
+from .stamp import ALWAYS_READ as ALWAYS_READ
+from .stamp import stamp_of as stamp_of
+from .summary import describe_run as describe_run
+from .summary import entry_of as entry_of
+from .summary import list_runs as list_runs
+from .view import find_runs as find_runs

@@ -10,11 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from hil.runs.summary import (entry_of, number_in)
-from hil.core import DataError
-from hil.core import read_json
-from hil.core import look_into
+from hil.core import DataError, look_into, read_json
 from hil.runs.listing import listing_of
+from hil.runs.summary import entry_of, number_in
 
 LARGEST_SPEC = 262_144
 """Bytes; a longer spec is not searched for a description."""

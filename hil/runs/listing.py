@@ -7,12 +7,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from hil.core import DataError
-from hil.core import is_live
-from hil.core import closest
-from hil.recording import (name_for_path, number_of, run_folders)
-from hil.recording import (RunDirectory, RunStatus)
-from hil.recording import PARTIAL_SUFFIX
+from hil.core import DataError, closest, is_live
+from hil.recording import (
+    PARTIAL_SUFFIX,
+    RunDirectory,
+    RunStatus,
+    name_for_path,
+    number_of,
+    run_folders,
+)
 
 LAST = "last"
 """Names the newest run."""

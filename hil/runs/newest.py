@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from hil.recording import RunDirectory
 from hil.runs.facts import started_s
 from hil.runs.together import start_of
-from hil.recording import RunDirectory
 
 
 def measured_after(entries: Sequence[dict[str, Any]]) -> dict[str, int]:

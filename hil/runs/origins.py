@@ -6,8 +6,6 @@ of them fits a run keeps it; where they say too little, every run that may be me
 
 from __future__ import annotations
 
-from hil.models import probes_of
-
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -15,12 +13,9 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from hil.core import (DataError, RegistryError)
-from hil.core import (read_json, sha256_of)
-from hil.recording import RunDirectory
-from hil.recording import PARTIAL_SUFFIX
-from hil.models import Registry
-from hil.models import ModelVersion
+from hil.core import DataError, RegistryError, read_json, sha256_of
+from hil.models import ModelVersion, Registry, probes_of
+from hil.recording import PARTIAL_SUFFIX, RunDirectory
 
 _BELOW = 3
 """Parts of a run's path that stay when all runs are moved together: day, robot, directory."""

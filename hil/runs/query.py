@@ -15,10 +15,8 @@ from dataclasses import dataclass
 from datetime import date, datetime, timedelta
 from typing import Any, get_args
 
+from hil.core import SpecError, did_you_mean, duration_of
 from hil.evaluation import VerdictWord
-from hil.core import duration_of
-from hil.core import SpecError
-from hil.core import did_you_mean
 from hil.runs.listing import ListedStatus
 
 _TERM = re.compile(r"([A-Za-z_-]+)\s*(<=|>=|!=|==|=|<|>)(.*)", re.DOTALL)

@@ -10,15 +10,11 @@ from datetime import date, timedelta
 from pathlib import Path
 from typing import Any
 
+from hil.core import DataError, RecordingError, fsync_directory, hold_run
+from hil.recording import PRUNED, RunDirectory, folders_in, operator, utc_now
 from hil.runs.facts import facts_of
 from hil.runs.origins import origins
-from hil.runs.retention import (Decision, Policy, guard, why_link)
-from hil.core import (DataError, RecordingError)
-from hil.core import fsync_directory
-from hil.core import hold_run
-from hil.recording import folders_in
-from hil.recording import (operator, utc_now)
-from hil.recording import (PRUNED, RunDirectory)
+from hil.runs.retention import Decision, Policy, guard, why_link
 
 TRASH = ".trash-"
 """Beginning of what was renamed and is on its way out; no run begins with a dot."""

@@ -9,16 +9,14 @@ from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
+from hil.core import SpecError, duration_text
+from hil.recording import RunDirectory, run_folders
 from hil.runs.facts import started_s
 from hil.runs.newest import measured_after
-from hil.runs.origins import (Lost, Origins, origins)
+from hil.runs.origins import Lost, Origins, origins
 from hil.runs.together import groups
 from hil.runs.trained_rows import why_by_rows
 from hil.runs.view import find_runs
-from hil.core import duration_text
-from hil.core import SpecError
-from hil.recording import run_folders
-from hil.recording import RunDirectory
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,9 +9,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
-from hil.core import DataError
-from hil.core import read_json
-from hil.core import (LOCK, is_live)
+from hil.core import LOCK, DataError, is_live, read_json
 from hil.recording import folders_in
 
 SETTLED_NS = 2 * 10**9

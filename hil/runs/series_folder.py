@@ -6,8 +6,6 @@ they tell is in the run directories, and either is replaced when there is more t
 
 from __future__ import annotations
 
-from hil.report import render_series
-
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,10 +13,18 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from hil.core import (DataError, HilError)
-from hil.core import (json_document, new_folder, read_json, require_known_version, write_replacing)
+from hil.core import (
+    DataError,
+    HilError,
+    json_document,
+    new_folder,
+    read_json,
+    require_known_version,
+    write_replacing,
+)
 from hil.planning import Commissioning
 from hil.recording import name_for_path
+from hil.report import render_series
 from hil.spec import SeriesSpec
 
 DOCUMENT, PAGE = "series.json", "series.html"

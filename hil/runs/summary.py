@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-
 import contextlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from hil.evaluation import verdict_word
-from hil.core import (DataError, HilError)
-from hil.core import read_json
-from hil.core import is_live
-from hil.core import shell_word
+from hil.core import DataError, HilError, is_live, read_json, shell_word
 from hil.estimators import models_below
-from hil.runs.listing import RunListing
-from hil.runs.listing import run_listings
-from hil.recording import name_of_attempt
-from hil.recording import (PRUNED, RunDirectory)
-from hil.recording import recorded_s
+from hil.evaluation import verdict_word
+from hil.recording import PRUNED, RunDirectory, name_of_attempt, recorded_s
+from hil.runs.listing import RunListing, run_listings
 
 _STUDY_FILES = "study/*/study.json"
 
@@ -44,7 +37,7 @@ def next_command(listing: RunListing) -> str:
     if "replayed" in start:
         return ""
     if "commissioning" in start and (run.path / "report.html").is_file():
-        from hil.report import next_commissioning, read_facts  # noqa: PLC0415 - loads Pinocchio
+        from hil.report import next_commissioning, read_facts
 
         with contextlib.suppress(HilError):
             if listing.status != "completed":

@@ -7,10 +7,9 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from hil.runs.series_folder import (SeriesFolder, is_series_folder)
-from hil.core import DataError
-from hil.core import read_json
+from hil.core import DataError, read_json
 from hil.recording import folders_in
+from hil.runs.series_folder import SeriesFolder, is_series_folder
 
 
 def groups(runs: Path, paths: Iterable[Path]) -> list[tuple[str, set[Path]]]:

@@ -10,11 +10,11 @@ from collections.abc import Callable, Iterable
 from functools import cache
 from pathlib import Path
 
-from hil.runs.origins import Lost
-from hil.core import (HilError, RegistryError)
+from hil.core import HilError, RegistryError
 from hil.data import Sketch
-from hil.importers import load_source
 from hil.estimators import load_model_file
+from hil.importers import load_source
+from hil.runs.origins import Lost
 
 
 def why_by_rows(lost: Iterable[Lost]) -> Callable[[Path], str]:

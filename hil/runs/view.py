@@ -16,12 +16,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from hil.runs.facts import (facts_of, started_s)
-from hil.runs.query import (Query, parse, plain)
-from hil.runs.stamp import (ALWAYS_READ, stamp_of)
-from hil.core import RecordingError
-from hil.core import write_replacing
+from hil.core import RecordingError, write_replacing
+from hil.runs.facts import facts_of, started_s
 from hil.runs.listing import run_paths
+from hil.runs.query import Query, parse, plain
+from hil.runs.stamp import ALWAYS_READ, stamp_of
 
 FILE = ".catalogue.sqlite"
 VERSION = 2

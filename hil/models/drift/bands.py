@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from hil.core import FloatArray
-from hil.models.drift.chart import (Charted, charted)
-from hil.models.drift.history import (Probe, probes_of, quiet_like)
+from hil.models.drift.chart import Charted, charted
+from hil.models.drift.history import Probe, probes_of, quiet_like
 from hil.models.registry import Registry
 
 

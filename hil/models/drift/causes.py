@@ -11,7 +11,7 @@ from scipy.stats import norm
 
 from hil.core import FloatArray
 from hil.models.drift.chart import Charted
-from hil.models.drift.features import (UNITS, Features)
+from hil.models.drift.features import UNITS, Features
 
 LEAST_KG = 0.05
 """Below this a place would be that of noise."""

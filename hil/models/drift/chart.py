@@ -20,8 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import t as student
 
-from hil.core import DataError
-from hil.core import (BoolArray, FloatArray)
+from hil.core import BoolArray, DataError, FloatArray
 from hil.models.drift.features import Features
 
 FALSE_ALARM = 0.01

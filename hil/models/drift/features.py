@@ -6,8 +6,8 @@ Per joint by how much friction, drive gain and offset differ from the model's; f
 hangs at the flange besides what was declared. Each cause is estimated as if it were the only one
 (but for offsets): together they would hardly be told apart in a wrist, whose effort is friction.
 What one cause does to the estimates of the others is known from the motion (`response`), and
-`hil.models.drift.causes` tells them apart by it. How sure a number is comes from leaving out a block of
-time after the other: neighbouring residuals are alike.
+`hil.models.drift.causes` tells them apart by it. How sure a number is comes from leaving out one
+block of time after the other: neighbouring residuals are alike.
 """
 
 from __future__ import annotations
@@ -19,8 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.core import DataError
-from hil.core import (BoolArray, FloatArray)
+from hil.core import BoolArray, DataError, FloatArray
 from hil.data import Dataset
 from hil.estimators import RobotEstimator
 from hil.evaluation import filtered_effort

@@ -17,20 +17,17 @@ from typing import Any
 
 import numpy as np
 
-from hil.core import (DataError, RegistryError)
-from hil.core import (read_json, sha256_of)
-from hil.models.drift.causes import (Cause, causes, told)
-from hil.models.drift.chart import (FALSE_ALARM, Charted, charted)
-from hil.models.drift.features import (Features, features_of)
-from hil.estimators import RobotEstimator
-from hil.estimators import plain
-from hil.evaluation import usable_part
-from hil.evaluation import require_unseen
+from hil.core import DataError, RegistryError, read_json, sha256_of
+from hil.estimators import RobotEstimator, plain
+from hil.evaluation import require_unseen, usable_part
 from hil.importers import load_source
-from hil.models.registry_lock import writing
-from hil.models.log import (append_line, read_lines)
+from hil.models.drift.causes import Cause, causes, told
+from hil.models.drift.chart import FALSE_ALARM, Charted, charted
+from hil.models.drift.features import Features, features_of
+from hil.models.log import append_line, read_lines
 from hil.models.pointers import leave_pointer
 from hil.models.registry import Registry
+from hil.models.registry_lock import writing
 
 PROBES_FILE = "probes.jsonl"
 

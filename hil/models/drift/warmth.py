@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.core import DataError
-from hil.core import FloatArray
+from hil.core import DataError, FloatArray
 from hil.data import Dataset
 from hil.estimators import RobotEstimator
 
