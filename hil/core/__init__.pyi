@@ -69,8 +69,8 @@ from .plugins import origin_of as origin_of
 from .quick_yaml import look_into as look_into
 from .quick_yaml import require_bounded as require_bounded
 from .source import MOST_PROBLEMS as MOST_PROBLEMS
+from .source import KeyPath as KeyPath
 from .source import Mark as Mark
-from .source import Path as Path
 from .source import Problem as Problem
 from .source import Source as Source
 from .source import dotted as dotted

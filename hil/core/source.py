@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 from hil.core.errors import SpecError
 
-Path: TypeAlias = tuple[str | int, ...]
+KeyPath: TypeAlias = tuple[str | int, ...]
 """Keys and list indices from the top of the file to a value."""
 
 MOST_PROBLEMS = 50
@@ -29,7 +29,7 @@ class Problem(NamedTuple):
     """One thing that is wrong: where, at which key, and what in plain words."""
 
     mark: Mark
-    path: Path
+    path: KeyPath
     message: str
 
     def __str__(self) -> str:
@@ -51,11 +51,11 @@ class Source:
 
     name: str
     data: Any = None
-    keys: dict[Path, Mark] = field(default_factory=dict)
-    values: dict[Path, Mark] = field(default_factory=dict)
+    keys: dict[KeyPath, Mark] = field(default_factory=dict)
+    values: dict[KeyPath, Mark] = field(default_factory=dict)
     problems: list[Problem] = field(default_factory=list)
 
-    def mark(self, path: Path, *, key: bool = False) -> Mark:
+    def mark(self, path: KeyPath, *, key: bool = False) -> Mark:
         """The place of a value (or of its key), or else of the nearest thing around it."""
         if key and path in self.keys:
             return self.keys[path]
@@ -63,7 +63,7 @@ class Source:
             path = path[:-1]
         return self.values.get(path, Mark(self.name, 1, 1))
 
-    def at(self, path: Path) -> Any:
+    def at(self, path: KeyPath) -> Any:
         """The value at a path, None where there is nothing."""
         value = self.data
         for step in path:
@@ -73,11 +73,11 @@ class Source:
                 return None
         return value
 
-    def add(self, path: Path, message: str, *, key: bool = False) -> None:
+    def add(self, path: KeyPath, message: str, *, key: bool = False) -> None:
         """Note a problem with the value (or the key) at `path`."""
         self.problems.append(Problem(self.mark(path, key=key), path, message))
 
-    def forget(self, path: Path) -> None:
+    def forget(self, path: KeyPath) -> None:
         """Drop the places of everything at and below `path`, because it is being replaced."""
         for places in (self.keys, self.values):
             for below in [p for p in places if p[: len(path)] == path]:
@@ -93,7 +93,7 @@ def refuse(problems: list[Problem], hint: str = "", more: int = 0) -> SpecError:
     return SpecError("\n".join(lines), hint=hint)
 
 
-def dotted(path: Path) -> str:
+def dotted(path: KeyPath) -> str:
     """A path as people write it: `loads.1.mass_kg`."""
     return ".".join(shown(str(step)) for step in path)
 

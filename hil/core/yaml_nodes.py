@@ -11,7 +11,7 @@ from typing import Any
 
 import yaml
 
-from hil.core.source import Mark, Path, Problem, Source, shown
+from hil.core.source import KeyPath, Mark, Problem, Source, shown
 
 MOST_BYTES = 256 * 1024
 """Larger files are no specs; poses belong into a CSV beside the spec."""
@@ -39,24 +39,24 @@ class Reading:
     def __init__(self, source: Source) -> None:
         self.source = source
 
-    def value(self, node: yaml.Node, path: Path) -> Any:
+    def value(self, node: yaml.Node, path: KeyPath) -> Any:
         """Return the data below a node that stands at `path`."""
         self.source.values[path] = mark_of(node.start_mark, self.source.name)
         if not isinstance(node, yaml.ScalarNode):
             return self._collection(node, path)
         return self._scalar(node, path)
 
-    def _collection(self, node: yaml.Node, path: Path) -> Any:
+    def _collection(self, node: yaml.Node, path: KeyPath) -> Any:
         is_map = isinstance(node, yaml.MappingNode)
         if node.tag != TAG + ("map" if is_map else "seq"):
             self.source.add(path, f"the tag {_tag(node)} is not allowed: a spec is plain data")
             return None
         return self._mapping(node, path) if is_map else self._sequence(node, path)
 
-    def _sequence(self, node: yaml.Node, path: Path) -> list[Any]:
+    def _sequence(self, node: yaml.Node, path: KeyPath) -> list[Any]:
         return [self.value(item, (*path, i)) for i, item in enumerate(node.value)]
 
-    def _mapping(self, node: yaml.Node, path: Path) -> dict[str, Any]:
+    def _mapping(self, node: yaml.Node, path: KeyPath) -> dict[str, Any]:
         result: dict[str, Any] = {}
         for key_node, value_node in node.value:
             key = self._key(key_node, path)
@@ -65,7 +65,7 @@ class Reading:
                 result[key] = self.value(value_node, (*path, key))
         return result
 
-    def _key(self, node: yaml.Node, path: Path) -> str | None:
+    def _key(self, node: yaml.Node, path: KeyPath) -> str | None:
         mark = mark_of(node.start_mark, self.source.name)
         if not isinstance(node, yaml.ScalarNode):
             message = "a list or mapping cannot be a key"
@@ -81,7 +81,7 @@ class Reading:
         self.source.problems.append(Problem(mark, path, message))
         return None
 
-    def _is_new(self, key: str, node: yaml.Node, path: Path, seen: dict[str, Any]) -> bool:
+    def _is_new(self, key: str, node: yaml.Node, path: KeyPath, seen: dict[str, Any]) -> bool:
         if key not in seen:
             return True
         first = self.source.keys[*path, key]
@@ -90,7 +90,7 @@ class Reading:
         self.source.problems.append(Problem(mark, (*path, key), message))
         return False
 
-    def _scalar(self, node: yaml.ScalarNode, path: Path) -> Any:
+    def _scalar(self, node: yaml.ScalarNode, path: KeyPath) -> Any:
         kind, text = node.tag.removeprefix(TAG), node.value
         if kind == "str":
             if _has_surrogate(text):

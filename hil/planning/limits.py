@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from hil.arms import ArmDescription
-from hil.core import FloatArray, Path
+from hil.core import FloatArray, KeyPath
 from hil.excitation import Space, outside
 from hil.planning.interlocks import declared_space
 from hil.spec import Dwell, Excess, ExperimentSpec, Fourier, Interlock, WorkspaceInterlock
@@ -158,7 +158,9 @@ def _too_narrow(interlocks: Sequence[Interlock], clearance_m: float) -> Iterator
             )
 
 
-def _outside(path: Path, angles: Sequence[float], i: int, arm: ArmDescription) -> Iterator[Excess]:
+def _outside(
+    path: KeyPath, angles: Sequence[float], i: int, arm: ArmDescription
+) -> Iterator[Excess]:
     low, high = float(np.degrees(arm.q_min[i])), float(np.degrees(arm.q_max[i]))
     for angle in angles:
         if not low - TOLERANCE <= angle <= high + TOLERANCE:

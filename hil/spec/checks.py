@@ -17,7 +17,7 @@ from pydantic import ValidationError
 from hil.arms import arm_names
 from hil.core import (
     HilError,
-    Path,
+    KeyPath,
     PluginError,
     Source,
     closest,
@@ -77,7 +77,7 @@ def check_robots(source: Source, folder: FilePath) -> None:
 
 def check_pose_file(source: Source, folder: FilePath) -> None:
     """The file of poses that a dwell program names must exist."""
-    path: Path = ("excitation", "file")
+    path: KeyPath = ("excitation", "file")
     file = source.at(path)
     if isinstance(file, str) and not is_file(folder / file):
         source.add(path, _missing(folder / file))
@@ -100,7 +100,7 @@ def is_file(path: FilePath) -> bool:
         return False
 
 
-def _entries(source: Source, key: str) -> Iterator[tuple[Path, dict[str, Any]]]:
+def _entries(source: Source, key: str) -> Iterator[tuple[KeyPath, dict[str, Any]]]:
     """The mappings in a list or mapping at the top of the file, with their paths."""
     group = source.at((key,))
     if isinstance(group, dict):
@@ -124,7 +124,9 @@ def _fault_of_model(model: str, folder: FilePath) -> str:
     return f"there is no built-in arm '{shown(model)}'; {hint} A URDF is named by its path."
 
 
-def _check_named(source: Source, path: Path, entry: dict[str, Any], word: str, group: str) -> None:
+def _check_named(
+    source: Source, path: KeyPath, entry: dict[str, Any], word: str, group: str
+) -> None:
     """An entry whose key `word` names a plug-in and whose other keys are its parameters."""
     name = entry.get(word)
     if not isinstance(name, str):
@@ -144,7 +146,7 @@ def _check_named(source: Source, path: Path, entry: dict[str, Any], word: str, g
         _check_parameters(source, path, name, given, plugin)
 
 
-def _check_plugged(source: Source, path: Path, kind: str, entry: dict[str, Any]) -> None:
+def _check_plugged(source: Source, path: KeyPath, kind: str, entry: dict[str, Any]) -> None:
     try:
         known = _parameters(plugins.load("hil.interlocks", kind))
     except PluginError as error:
@@ -159,7 +161,7 @@ def _check_plugged(source: Source, path: Path, kind: str, entry: dict[str, Any])
             source.add((*path, key), _no_parameter(kind, key, own), key=True)
 
 
-def _check_excitation(source: Source, path: Path, name: str, plugin: Any) -> None:
+def _check_excitation(source: Source, path: KeyPath, name: str, plugin: Any) -> None:
     """The program must record what it is made for; the moves in between do not count.
 
     An estimator that can make do with other series does so on recordings of other origin
@@ -179,7 +181,7 @@ def _check_excitation(source: Source, path: Path, name: str, plugin: Any) -> Non
 
 
 def _check_parameters(
-    source: Source, path: Path, name: str, given: dict[str, Any], plugin: Any
+    source: Source, path: KeyPath, name: str, given: dict[str, Any], plugin: Any
 ) -> None:
     known = _parameters(plugin)
     unknown = [key for key in given if known is not None and key not in known]
@@ -189,7 +191,7 @@ def _check_parameters(
         _check_values(source, path, plugin, given)
 
 
-def _check_values(source: Source, path: Path, plugin: Any, given: dict[str, Any]) -> None:
+def _check_values(source: Source, path: KeyPath, plugin: Any, given: dict[str, Any]) -> None:
     """Let the constructor judge its parameters; by contract it does no work."""
     try:
         plugin(**given)

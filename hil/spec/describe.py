@@ -16,7 +16,7 @@ from typing import Annotated, Any, Union, get_args, get_origin
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from hil.core import Path, SpecError, closest, dotted, symbol_of
+from hil.core import KeyPath, SpecError, closest, dotted, symbol_of
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.fleet import FleetSpec
 from hil.spec.model_tree import Model, choices_of, is_model, keys_of, kinds_of, plain, tree
@@ -113,7 +113,7 @@ def reference() -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _info(path: Path, owner: Model, field: FieldInfo) -> KeyInfo:
+def _info(path: KeyPath, owner: Model, field: FieldInfo) -> KeyInfo:
     kind_field = keys_of(owner).get("kind")
     kinds = choices_of(kind_field.annotation) if kind_field else ()
     return KeyInfo(
@@ -189,7 +189,7 @@ def _sections(model: Model) -> str:
     return "\n\n".join(_section(path, owner) for path, owner in tree(model))
 
 
-def _section(path: Path, owner: Model) -> str:
+def _section(path: KeyPath, owner: Model) -> str:
     infos = [_info((*path, key), owner, field) for key, field in keys_of(owner).items()]
     title = f"### {section_of(infos[0])}"
     rows = [

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, get_args
 
 from pydantic_core import ErrorDetails
 
-from hil.core import MOST_PROBLEMS, Path, Source, closest, same_quantity
+from hil.core import MOST_PROBLEMS, KeyPath, Source, closest, same_quantity
 from hil.spec.model_tree import Model, is_model, keys_of, locate, plain
 
 
@@ -26,7 +26,7 @@ class Finding(NamedTuple):
     """
 
     type: str
-    path: Path
+    path: KeyPath
     about_key: bool
     expected: Any
     holder: Any

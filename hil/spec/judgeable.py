@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from hil.core import Path, SpecError, dotted
+from hil.core import KeyPath, SpecError, dotted
 from hil.spec.experiment import ExperimentSpec
 
 UNITS = {"current": "A", "torque": "N·m"}
@@ -14,7 +14,7 @@ UNITS = {"current": "A", "torque": "N·m"}
 class Excess(NamedTuple):
     """A value of a spec that a robot rules out, and why."""
 
-    path: Path
+    path: KeyPath
     message: str
 
     def __str__(self) -> str:

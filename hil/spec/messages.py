@@ -8,7 +8,7 @@ from typing import Any
 
 from hil.core import (
     CORE_SCALARS,
-    Path,
+    KeyPath,
     Problem,
     Source,
     closest,
@@ -38,7 +38,7 @@ def explain(finding: Finding, model: Model, source: Source) -> Problem:
     return Problem(source.mark(path, key=finding.about_key), path, message)
 
 
-def _what_to_give(source: Source, path: Path) -> str:
+def _what_to_give(source: Source, path: KeyPath) -> str:
     """What to do about a key without a value; an option of the command line removes none."""
     if source.mark(path).line:
         return "give it one, or remove the key"

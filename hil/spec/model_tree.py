@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from hil.core import Path
+from hil.core import KeyPath
 
 Model = type[BaseModel]
 
@@ -52,7 +52,7 @@ def choices_of(annotation: Any) -> tuple[Any, ...]:
     return get_args(inner) if get_origin(inner) is Literal else ()
 
 
-def locate(model: Model, loc: tuple[str | int, ...]) -> tuple[Path, Any]:
+def locate(model: Model, loc: tuple[str | int, ...]) -> tuple[KeyPath, Any]:
     """Turn pydantic's location into the path in the file and what is expected there.
 
     Returns:
@@ -81,7 +81,7 @@ def nested(annotation: Any) -> Iterator[Model]:
             yield from nested(arg)
 
 
-def tree(model: Model, path: Path = ()) -> Iterator[tuple[Path, Model]]:
+def tree(model: Model, path: KeyPath = ()) -> Iterator[tuple[KeyPath, Model]]:
     """Every model that can occur in a file, with its path, from the top downwards.
 
     Items of a list are not told apart (`loads`), entries of a dict are called by `<name>`.
@@ -110,7 +110,7 @@ def _kind_values(model: Model) -> tuple[str, ...]:
     return choices_of(field.annotation) if field else ()
 
 
-def key_above(path: Path, model: Model) -> Path:
+def key_above(path: KeyPath, model: Model) -> KeyPath:
     """The deepest key that a file of the model may have at a place or above it.
 
     List indices are left out; entries of a dict go by any name, whose place is not a key itself.

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path as FilePath
 
-from hil.core import Path, Source, no_file_but
+from hil.core import KeyPath, Source, no_file_but
 from hil.spec.checks import is_file
 from hil.spec.load import no_such_kind
 
 
-def make_absolute(source: Source, place: Path, folder: FilePath) -> None:
+def make_absolute(source: Source, place: KeyPath, folder: FilePath) -> None:
     """Make a path absolute that starts at the folder of its file; note it if there is no such file.
 
     Args:

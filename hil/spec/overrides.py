@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from hil.core import Mark, Path, Source, SpecError, parse_text, read_source, shown
+from hil.core import KeyPath, Mark, Source, SpecError, parse_text, read_source, shown
 
 
 def lay_over(source: Source, overrides: Mapping[str, str]) -> None:
@@ -95,7 +95,7 @@ def _is_index(step: str) -> bool:
     return step.isascii() and step.isdigit()
 
 
-def _path_in(data: Any, dotted_key: str) -> Path:
+def _path_in(data: Any, dotted_key: str) -> KeyPath:
     path: list[str | int] = []
     for step in dotted_key.split("."):
         is_index = isinstance(data, list) and _is_index(step)
@@ -112,7 +112,7 @@ def _child(data: Any, step: str | int) -> Any:
     return None
 
 
-def _set(data: Any, path: Path, value: Any) -> str:
+def _set(data: Any, path: KeyPath, value: Any) -> str:
     """Put `value` at `path`; why not, where a list or a plain value is in the way."""
     for step in path[:-1]:
         if isinstance(data, dict) and data.get(str(step)) is None:
@@ -134,7 +134,7 @@ def _in_the_way(data: Any, step: str | int) -> str:
     return f"{shown(step)} would be below {shown(data)}"
 
 
-def _move_marks(source: Source, path: Path, name: str) -> None:
+def _move_marks(source: Source, path: KeyPath, name: str) -> None:
     source.forget(path)
     # Nothing in a value has a place of its own, nor have mappings made on the way.
     for n in range(1, len(path) + 1):

@@ -6,7 +6,7 @@ from pathlib import Path as FilePath
 
 from pydantic import Field
 
-from hil.core import Path, Source, SpecError, read_source
+from hil.core import KeyPath, Source, SpecError, read_source
 from hil.spec.load import refuse_other_kind, validated
 from hil.spec.named_files import make_absolute
 from hil.spec.quantities import FormatVersion, Name, Strict
@@ -69,7 +69,7 @@ def load_series_spec(path: str | FilePath) -> SeriesSpec:
     return validated(source, SeriesSpec)
 
 
-def _places(source: Source) -> list[Path]:
+def _places(source: Source) -> list[KeyPath]:
     """Where a series may name a file."""
     entries = source.at(("series",))
     count = len(entries) if isinstance(entries, list) else 0

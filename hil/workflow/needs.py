@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-from hil.core import HilError, Path
+from hil.core import HilError, KeyPath
 from hil.dynamics import RobotModel, load_model
 from hil.estimators import HONEST, Needs, estimator, gains_fault, needs_of
 from hil.robot import Capabilities
@@ -28,7 +28,7 @@ GAINS_HINT = (
     "the driver has it"
 )
 
-Entry = tuple[Path, str, Any]
+Entry = tuple[KeyPath, str, Any]
 """Place of a name in the spec, the name, and the estimator or study of that name."""
 
 
@@ -168,7 +168,7 @@ def _criteria(spec: ExperimentSpec, robot: Capabilities, models: list[Any]) -> I
     ratio = spec.accept.load_error_ratio
     if ratio is None or ratio.told != "calibrated":
         return
-    path: Path = ("accept", "load_error_ratio", "told")
+    path: KeyPath = ("accept", "load_error_ratio", "told")
     if robot.effort_kind != "current":
         yield Excess(path, f"{spec.robot} measures torques, so no drive gains are calibrated")
     elif len(spec.loads) < CALIBRATED_LOADS:

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from hil.core import Path as SourcePath
-from hil.core import Problem, Source, SpecError, dotted, read_source
+from hil.core import KeyPath, Problem, Source, SpecError, dotted, read_source
 from hil.maintenance.pipeline.fitting_together import problems as problems_of
 from hil.maintenance.pipeline.fitting_together import wanted
 from hil.planning import Experiment, load_experiment
@@ -96,7 +95,7 @@ def bind_file(file: Path, station: Path | None = None) -> Bound:
     return bound
 
 
-def _line(source: Source | None, place: SourcePath, message: str) -> str:
+def _line(source: Source | None, place: KeyPath, message: str) -> str:
     if source is None:
         return f"{dotted(place)}: {message}"
     return str(Problem(source.mark(place), place, message))

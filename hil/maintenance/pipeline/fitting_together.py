@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from math import gcd
 
-from hil.core import Path as SourcePath
+from hil.core import KeyPath as SourcePath
 from hil.core import PluginError, SpecError
 from hil.estimators import HONEST, estimator
 from hil.models import BLOCK_S, DRIFT_BLOCK_S, FEWEST_BLOCKS, FEWEST_DRIFT_BLOCKS
