@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from cia402_parts import CSP, CST, ENABLED, FAULT, FOLLOWS, OFF, ON, PERIOD_S, READY, Rig
 
-from hil_drivers.cia402.braking import BrakeWatch
 from hil_drivers.cia402.contracts import Emergency, News
+from hil_drivers.cia402.rest_watch import BrakeWatch
 from hil_drivers.cia402.supervisor import Phase
 
 QUICK_STOP = 0x02

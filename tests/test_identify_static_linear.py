@@ -177,7 +177,7 @@ def test_true_gravity_lies_in_the_intervals_as_often_as_they_say() -> None:
 
 @pytest.mark.parametrize("noise", ["normal", "student"])
 def test_intervals_know_that_the_papers_weights_come_from_the_same_data(noise) -> None:
-    from hil.estimators.linear_methods import Block, DwellSeries, least_squares
+    from hil.estimators.static_least_squares import Block, DwellSeries, least_squares
 
     random = np.random.default_rng(2)
     X = np.column_stack([random.normal(size=(40, 2)), np.ones(40)])

@@ -52,8 +52,6 @@ from .gains_without_load import controller_gains as controller_gains
 from .gains_without_load import shows_controller as shows_controller
 from .gravity import PaperGravity as PaperGravity
 from .inertial_bounds import InertialBounds as InertialBounds
-from .linear_methods import Method as Method
-from .linear_methods import Weights as Weights
 from .model_file import load_model_file as load_model_file
 from .model_folder import MODEL_FILE as MODEL_FILE
 from .model_folder import models_below as models_below
@@ -108,6 +106,8 @@ from .static import StaticWls as StaticWls
 from .static_friction import StaticFriction as StaticFriction
 from .static_hysteresis import StaticHysteresis as StaticHysteresis
 from .static_inverse import StaticInverse as StaticInverse
+from .static_least_squares import Method as Method
+from .static_least_squares import Weights as Weights
 from .static_linear import StaticLinear as StaticLinear
 from .static_model import PAPER_PROTOCOL as PAPER_PROTOCOL
 from .static_model import Form as Form

@@ -18,7 +18,9 @@ from hil.data import Dataset
 from hil.dynamics import RobotModel
 from hil.estimators.checks import require_rank
 from hil.estimators.dwell_rows import one_row_each, pose_numbers, scatter
-from hil.estimators.linear_methods import (
+from hil.estimators.parameters import choice, flag, number
+from hil.estimators.static_clustered import PoseClustered, deviation
+from hil.estimators.static_least_squares import (
     PENALISED,
     Block,
     DwellSeries,
@@ -28,8 +30,6 @@ from hil.estimators.linear_methods import (
     least_squares,
     penalised,
 )
-from hil.estimators.parameters import choice, flag, number
-from hil.estimators.static_clustered import PoseClustered, deviation
 from hil.estimators.static_model import Form
 
 Rows = Literal["dwells", "samples"]
@@ -41,7 +41,8 @@ class StaticLinear(PoseClustered):
     """Gravity and offset of an arm at rest by one of the paper's five methods.
 
     Args:
-        method: `ls`, `ridge`, `lasso`, `elastic-net` or `wls`, see `hil.estimators.linear_methods`.
+        method: `ls`, `ridge`, `lasso`, `elastic-net` or `wls`, see
+        `hil.estimators.static_least_squares`.
         form: `paper`, each joint by itself in the unit of the effort, or `shared`, all joints at
             once in N·m (not for `lasso` and `elastic-net`).
         alpha: Weight of the penalty, in scikit-learn's scaling.

@@ -12,6 +12,11 @@ from .experiment import Fit as Fit
 from .experiment import Fourier as Fourier
 from .experiment import HoldOut as HoldOut
 from .experiment import StudyEntry as StudyEntry
+from .field_types import Finite as Finite
+from .field_types import FormatVersion as FormatVersion
+from .field_types import Positive as Positive
+from .field_types import Strict as Strict
+from .field_types import mistake as mistake
 from .findings import findings_of as findings_of
 from .fleet import load_fleet_spec as load_fleet_spec
 from .hashing import spec_hash as spec_hash
@@ -39,11 +44,6 @@ from .new import schemas_beside as schemas_beside
 from .optimise import Optimise as Optimise
 from .overrides import lay_over as lay_over
 from .overrides import resolved_text as resolved_text
-from .quantities import Finite as Finite
-from .quantities import FormatVersion as FormatVersion
-from .quantities import Positive as Positive
-from .quantities import Strict as Strict
-from .quantities import mistake as mistake
 from .schedule import KEY as KEY
 from .schedule import Blackout as Blackout
 from .schedule import ScheduleSpec as ScheduleSpec

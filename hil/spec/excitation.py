@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from hil.spec.field_types import IS_NUMBER, JointRange, Positive, Seed, Strict, mistake
 from hil.spec.optimise import OptionalOptimise
-from hil.spec.quantities import IS_NUMBER, JointRange, Positive, Seed, Strict, mistake
 
 LONGEST_TRAJECTORY_S = 3600.0
 """All set-points of one trajectory are in memory together."""

@@ -8,6 +8,16 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hil.spec.excitation import Dwell, Excitation, Fourier
+from hil.spec.field_types import (
+    IS_NUMBER,
+    Count,
+    Finite,
+    FormatVersion,
+    Name,
+    Positive,
+    Strict,
+    mistake,
+)
 from hil.spec.interlocks import (
     DEFAULTS,
     ClearanceInterlock,
@@ -36,16 +46,6 @@ from hil.spec.judged import (
     Validate,
 )
 from hil.spec.loads import Load
-from hil.spec.quantities import (
-    IS_NUMBER,
-    Count,
-    Finite,
-    FormatVersion,
-    Name,
-    Positive,
-    Strict,
-    mistake,
-)
 from hil.spec.weigh import OptionalWeigh, Weigh
 
 __all__ = [

@@ -7,8 +7,8 @@ from pathlib import Path as FilePath
 from pydantic import Field
 
 from hil.core import read_source
+from hil.spec.field_types import FormatVersion, Name, Strict
 from hil.spec.load import refuse_other_kind, validated
-from hil.spec.quantities import FormatVersion, Name, Strict
 
 KEY = "hil_fleet"
 

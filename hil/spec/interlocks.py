@@ -17,7 +17,7 @@ from pydantic import (
 )
 from pydantic_core import CoreSchema, core_schema
 
-from hil.spec.quantities import IS_NUMBER, NonNegative, Positive, Strict, Vector3, mistake
+from hil.spec.field_types import IS_NUMBER, NonNegative, Positive, Strict, Vector3, mistake
 from hil.spec.station import Wall
 
 COOLER_C = 5.0

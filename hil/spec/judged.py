@@ -6,15 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from hil.spec.quantities import (
-    IS_NUMBER,
-    Count,
-    NonNegative,
-    Positive,
-    Seed,
-    Strict,
-    mistake,
-)
+from hil.spec.field_types import IS_NUMBER, Count, NonNegative, Positive, Seed, Strict, mistake
 
 
 class HoldOut(Strict):

@@ -30,12 +30,12 @@ from hil.spec.checks import (
     is_path,
 )
 from hil.spec.experiment import Dwell, ExperimentSpec
+from hil.spec.field_types import Strict
 from hil.spec.findings import findings_of
 from hil.spec.hashing import spec_hash
 from hil.spec.messages import explain
 from hil.spec.model_tree import key_above
 from hil.spec.overrides import lay_over
-from hil.spec.quantities import Strict
 from hil.spec.station import Station, StationRobot
 
 __all__ = ["load_spec", "load_station", "resolve_robot", "spec_from_text", "spec_hash"]

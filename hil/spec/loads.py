@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import Field, model_validator
 
 from hil.arms import Payload
-from hil.spec.quantities import IS_NUMBER, Finite, NonNegative, Strict, mistake
+from hil.spec.field_types import IS_NUMBER, Finite, NonNegative, Strict, mistake
 
 # What is longer than ten metres is a slip of the unit, and no flange carries it.
 Lever = Annotated[float, Field(ge=-10, le=10), IS_NUMBER]

@@ -12,8 +12,8 @@ import yaml
 from hil.core import SpecError, look_into, parse, shown
 from hil.spec.commented import commented
 from hil.spec.experiment import ExperimentSpec
+from hil.spec.field_types import Strict
 from hil.spec.load import validated
-from hil.spec.quantities import Strict
 from hil.spec.schedule import ScheduleSpec
 from hil.spec.schema import schema_files
 from hil.spec.station import Station

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
 
-from hil.spec.quantities import IS_NUMBER, NonNegative, Positive, Seed, Strict
+from hil.spec.field_types import IS_NUMBER, NonNegative, Positive, Seed, Strict
 
 
 class Optimise(Strict):

@@ -11,9 +11,9 @@ from zoneinfo import ZoneInfo
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from hil.core import Duration, SpecError, read_source
+from hil.spec.field_types import Finite, FormatVersion, Name, Positive, Seed, Strict, mistake
 from hil.spec.load import refuse_other_kind, validated
 from hil.spec.named_files import make_absolute
-from hil.spec.quantities import Finite, FormatVersion, Name, Positive, Seed, Strict, mistake
 
 KEY = "hil_schedule"
 

@@ -14,8 +14,8 @@ from pydantic.json_schema import GenerateJsonSchema
 
 from hil.core import split_unit, symbol_of
 from hil.spec.experiment import ExperimentSpec
+from hil.spec.field_types import Strict
 from hil.spec.fleet import FleetSpec
-from hil.spec.quantities import Strict
 from hil.spec.schedule import ScheduleSpec
 from hil.spec.series import SeriesSpec
 from hil.spec.station import Station

@@ -7,9 +7,9 @@ from pathlib import Path as FilePath
 from pydantic import Field
 
 from hil.core import KeyPath, Source, SpecError, read_source
+from hil.spec.field_types import FormatVersion, Name, Strict
 from hil.spec.load import refuse_other_kind, validated
 from hil.spec.named_files import make_absolute
-from hil.spec.quantities import FormatVersion, Name, Strict
 
 KEY = "hil_series"
 

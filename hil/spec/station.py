@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, Field
 
 from hil.core import json_text, name_text
-from hil.spec.quantities import (
+from hil.spec.field_types import (
     Finite,
     FormatVersion,
     Name,

@@ -10,7 +10,6 @@ from typing import Protocol
 from hil.arms import ArmDescription
 from hil.core import CommandRefused, RobotConnectionError
 from hil_drivers.cia402 import objects as od
-from hil_drivers.cia402.braking import LONGEST_RAMP_S
 from hil_drivers.cia402.contracts import Acyclic
 from hil_drivers.cia402.drives import Commissioned, Drive
 from hil_drivers.cia402.inspection import (
@@ -26,6 +25,7 @@ from hil_drivers.cia402.mapping import SYNC_COB_ID
 from hil_drivers.cia402.objects import Entry
 from hil_drivers.cia402.options import Options
 from hil_drivers.cia402.profile import PROFILES, AxisProfile
+from hil_drivers.cia402.rest_watch import LONGEST_RAMP_S
 
 MASTER_SILENCE_MS = 250
 """1016h: silence of ours after which a drive stops by itself."""

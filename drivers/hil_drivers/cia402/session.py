@@ -10,7 +10,6 @@ from collections.abc import Callable
 from hil.arms import load_arm
 from hil.core import HilError
 from hil_drivers.cia402 import objects as od
-from hil_drivers.cia402.braking import LONGEST_RAMP_S, BrakeWatch
 from hil_drivers.cia402.commissioning import MODES, configured, inspected
 from hil_drivers.cia402.contracts import Outputs
 from hil_drivers.cia402.core import Core
@@ -26,6 +25,7 @@ from hil_drivers.cia402.options import Options
 from hil_drivers.cia402.parting import part, unwatch
 from hil_drivers.cia402.player import Player
 from hil_drivers.cia402.pumping import pumping
+from hil_drivers.cia402.rest_watch import LONGEST_RAMP_S, BrakeWatch
 from hil_drivers.cia402.schedule import Schedule
 from hil_drivers.cia402.supervisor import Supervisor
 from hil_drivers.cia402.tracking import Tracking

@@ -10,11 +10,11 @@ from collections.abc import Callable, Sequence
 
 from hil_drivers.cia402 import objects as od
 from hil_drivers.cia402 import states
-from hil_drivers.cia402.braking import LONGEST_RAMP_S, BrakeWatch
 from hil_drivers.cia402.complaints import Complaints
 from hil_drivers.cia402.contracts import Emergency, Inputs, News, Outputs
 from hil_drivers.cia402.judging import FAULTY, Judge, mode_text
 from hil_drivers.cia402.phases import RUNNING, WATCHED, WITHIN_S, Phase
+from hil_drivers.cia402.rest_watch import LONGEST_RAMP_S, BrakeWatch
 from hil_drivers.cia402.states import (
     Goal,
     State,
