@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -118,7 +119,10 @@ class BaseParameters:
 def base_parameters(
     model: RobotModel, *, rotor: bool = True, gravity_only: bool = False, seed: int = 0
 ) -> BaseParameters:
-    """The base parameters of a robot, from random samples.
+    """Return the base parameters of a robot, from random samples.
+
+    They depend on its joints and gravity alone. They are computed once for all models of an arm,
+    as planning, fits and a model read from its file need the same.
 
     Args:
         model: The robot.
@@ -126,13 +130,35 @@ def base_parameters(
         gravity_only: Those that act on an arm at rest.
         seed: Of the random samples; the result does not depend on it.
     """
-    random = np.random.default_rng(seed)
+    return _sampled(_Columns(model), rotor, gravity_only, seed)
+
+
+class _Columns:
+    """A robot as far as a regressor's columns are concerned: equal where these are."""
+
+    def __init__(self, model: RobotModel) -> None:
+        self.model, self._key = model, model.columns_key
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Columns) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+
+@lru_cache(maxsize=32)
+def _sampled(columns: _Columns, rotor: bool, gravity_only: bool, seed: int) -> BaseParameters:
+    model, random = columns.model, np.random.default_rng(seed)
     q, qd, qdd = random.uniform(-np.pi, np.pi, (3, SAMPLES, model.n))
     if gravity_only:
         names = model.parameter_names(rotor=False)
-        return BaseParameters.from_regressor(model.gravity_regressor(q), names)
-    W = model.regressor(q, qd, qdd, rotor=rotor)
-    return BaseParameters.from_regressor(W, model.parameter_names(rotor=rotor))
+        base = BaseParameters.from_regressor(model.gravity_regressor(q), names)
+    else:
+        W = model.regressor(q, qd, qdd, rotor=rotor)
+        base = BaseParameters.from_regressor(W, model.parameter_names(rotor=rotor))
+    for shared in (base.independent, base.dependent, base.combination):
+        shared.flags.writeable = False
+    return base
 
 
 def conditioning(W: FloatArray) -> Conditioning:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -21,12 +22,18 @@ FLANGE_NAMES = ("tool0", "flange")
 
 
 def model_from_arm(arm: ArmDescription) -> pin.Model:
-    """A Pinocchio model of an arm in standard DH convention.
+    """Return a Pinocchio model of an arm in standard DH convention: the caller's own copy.
 
     Joint i turns about z of DH frame i−1; Pinocchio's joint frame i sits there, turned by q_i, so
     inertial parameters are about that frame. The centres of mass are given in the DH frames, which
     is why a body is appended at the same placement as the joint that follows.
     """
+    return _built(arm).copy()
+
+
+@lru_cache(maxsize=16)
+def _built(arm: ArmDescription) -> pin.Model:
+    """Build the model of a description, which is one object per arm and never changes."""
     limits = (arm.effort_max, arm.qd_max, arm.q_min, arm.q_max)
     model = model_of_dh(arm.dh, arm.mass, arm.com, arm.inertia, arm.joint_names, limits)
     model.name = utf8_text(arm.name)

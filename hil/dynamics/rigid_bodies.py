@@ -155,6 +155,11 @@ class RigidBodies:
         bodies = tuple(f"{name}_{joint}" for joint in joints for name in PARAMETERS)
         return bodies + tuple(f"Ia_{joint}" for joint in joints if rotor)
 
+    @property
+    def columns_key(self) -> tuple[bytes, ...]:
+        """What a regressor's columns depend on: joints and gravity, not what the links weigh."""
+        return tuple(constants.tobytes() for constants in self._chain)
+
     def flange_pose(self, q: FloatArray) -> FloatArray:
         """(N, 4, 4) pose of the flange in the base frame."""
         (rows,) = self._rows(q)

@@ -290,6 +290,11 @@ class CoupledModel(RobotModel):
         """(n, n) T of q = T s."""
         return self._T
 
+    @property
+    def columns_key(self) -> tuple[bytes, ...]:
+        """What a regressor's columns depend on; see `RigidBodies.columns_key`."""
+        return (*super().columns_key, b"motors", self._T.tobytes())
+
     def joints(self, *motors: FloatArray) -> tuple[FloatArray, ...]:
         """Angles (N, n) of the joints, or their rates, from those of the motors."""
         return tuple(rows @ self._T.T for rows in self._rows(*motors))

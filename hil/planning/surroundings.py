@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from functools import lru_cache
 
 import numpy as np
 
@@ -11,9 +11,6 @@ from hil.arms import ArmDescription, Capsule, Payload
 from hil.core import FloatArray
 from hil.dynamics import Box, CollisionModel, Environment, Plane, payload_capsule
 from hil.spec import Surroundings
-
-if TYPE_CHECKING:
-    from hil.dynamics import CollisionModel, Environment
 
 BodySize = tuple[float, float]
 """Length and radius along the flange axis [m]."""
@@ -26,11 +23,16 @@ def collision_model(
 ) -> CollisionModel:
     """Distances of the arm to itself, its surroundings and a body that holds every load.
 
-    One body for all loads lets every load see the same program.
+    One body for all loads lets every load see the same program. Planning, preflight and interlocks
+    ask for the same model: it is built once and, as nothing in it changes, shared.
     """
     capsules = [body for load, size in loads if (body := _capsule(load, size, arm.n_joints))]
-    around = _environment(surroundings)
-    return CollisionModel(arm, around, envelope(capsules) if capsules else None)
+    return _built(arm, _environment(surroundings), envelope(capsules) if capsules else None)
+
+
+@lru_cache(maxsize=16)
+def _built(arm: ArmDescription, around: Environment, payload: Capsule | None) -> CollisionModel:
+    return CollisionModel(arm, around, payload)
 
 
 def envelope(capsules: Sequence[Capsule]) -> Capsule:
