@@ -11,6 +11,7 @@ import typer
 from hil.core import SpecError
 
 if TYPE_CHECKING:
+    from hil.core import Source
     from hil.planning import Experiment
 
 SetOption = Annotated[
@@ -41,8 +42,8 @@ FirstOption = Annotated[
 ]
 
 
-def load_with(spec: Path, station: Path | None, given: Sequence[str] | None) -> Experiment:
-    """The experiment of a spec with the values of `--set`.
+def load_with(spec: Path | Source, station: Path | None, given: Sequence[str] | None) -> Experiment:
+    """Load the experiment of a spec, or of what was read from its file, with values of `--set`.
 
     Warns on stderr where the built-in bench is taken and a station beside the spec has its robot.
 
@@ -52,7 +53,8 @@ def load_with(spec: Path, station: Path | None, given: Sequence[str] | None) -> 
     from hil.planning import load_experiment, passed_over
 
     experiment = load_experiment(spec, station, _overrides(given or ()))
-    if told := passed_over(experiment.station_source, spec, experiment.spec.robot):
+    file = Path(experiment.spec_source)
+    if told := passed_over(experiment.station_source, file, experiment.spec.robot):
         typer.echo(f"warning: {told}", err=True)
     return experiment
 

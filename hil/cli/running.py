@@ -107,11 +107,13 @@ def run(
     json: JsonFlag = False,
 ) -> None:
     """Run an experiment, a series, or once what a schedule is about: from plan to report."""
+    from hil.core import read_source
     from hil.engine import ignore_from_now_on
     from hil.planning import commissioning_of
     from hil.spec import is_schedule, is_series
 
-    if is_schedule(spec):
+    source = read_source(spec)
+    if is_schedule(source):
         refuse_set(set_, "a schedule")
         _refuse_attended(
             operator, answers, elsewhere, waive, wait, yes, confirmed, speed, first, live
@@ -133,7 +135,7 @@ def run(
         operator, answers, tuple(waive or ()), wait, views, elsewhere, yes, confirmed
     )
 
-    if is_series(spec):
+    if is_series(source):
         refuse_set(set_, "a series")
         series.run_series(
             spec,
@@ -145,7 +147,7 @@ def run(
             confirm=attended.confirm_together,
         )
         return
-    experiment = replace(load_with(spec, station, set_), commissioning=part)
+    experiment = replace(load_with(source, station, set_), commissioning=part)
     if not json:
         typer.echo(experiment.title, err=True)
     report = attended.run(experiment, runs)

@@ -37,19 +37,21 @@ def validate(
     json: JsonFlag = False,
 ) -> None:
     """Check a spec, series or schedule and its station; all problems at once, with their places."""
+    from hil.core import read_source
     from hil.spec import is_schedule, is_series
     from hil.workflow import check_driver, missing_extras
 
-    if is_schedule(spec):
+    source = read_source(spec)
+    if is_schedule(source):
         refuse_set(set_, "a schedule")
         reidentify.validate_schedule(spec, station, json)
         return
-    if is_series(spec):
+    if is_series(source):
         refuse_set(set_, "a series")
         series.validate_series(spec, station, json)
         return
 
-    experiment = load_with(spec, station, set_)
+    experiment = load_with(source, station, set_)
     check_driver(experiment)
     facts: dict[str, Any] = {
         "spec": str(spec),
@@ -97,18 +99,19 @@ def plan(
     """Show what `hil run` would do with the same options: steps, ranges, margins; move nothing."""
     _require_svg(picture)
     from hil.cli.excitation_line import ExcitationLine
-    from hil.core import json_document, write_replacing
+    from hil.core import json_document, read_source, write_replacing
     from hil.planning import commissioning_of
     from hil.report import plan_picture
     from hil.spec import is_series
     from hil.workflow import check_driver, preview_experiment
 
     part = commissioning_of(speed, first)
-    if is_series(spec):
+    source = read_source(spec)
+    if is_series(source):
         refuse_set(set_, "a series")
         series.plan_series(spec, station, part, connect, json)
         return
-    experiment = replace(load_with(spec, station, set_), commissioning=part)
+    experiment = replace(load_with(source, station, set_), commissioning=part)
     check_driver(experiment)
     with ExcitationLine() as line:
         made, facts = preview_experiment(experiment, connect=connect, watch=line)

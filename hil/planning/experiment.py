@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hil.core import SpecError, card, read_source
+from hil.core import Source, SpecError, card, read_source
 from hil.planning.station_lookup import BUILT_IN, NOT_MOCKED, find_station, mock_bench, stations_in
 from hil.spec import (
     ExperimentSpec,
@@ -89,14 +89,14 @@ class Experiment:
 
 
 def load_experiment(
-    spec_path: Path,
+    file: Path | Source,
     station_path: Path | None = None,
     overrides: Mapping[str, str] = _NO_OVERRIDES,
 ) -> Experiment:
     """Load a spec and the station it runs at.
 
     Args:
-        spec_path: The spec's file.
+        file: The spec's file, or what `read_source` read from it, which is changed.
         station_path: The station's file, when somebody has named one.
         overrides: Values laid over the spec, YAML text by dotted path (`excitation.waypoints`).
 
@@ -107,7 +107,8 @@ def load_experiment(
     Raises:
         SpecError: Either file has problems (all are listed), or the station lacks the robot.
     """
-    spec = load_spec(spec_path, overrides)
+    spec = load_spec(file, overrides)
+    spec_path = Path(file.name) if isinstance(file, Source) else file
     station, text, source = find_station(spec_path.resolve().parent, station_path)
     return Experiment(
         spec=spec,

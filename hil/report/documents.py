@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from hil.core import DataError, SpecError, read_json, read_source
+from hil.core import DataError, Source, SpecError, read_json, read_source
 
 Document: TypeAlias = Mapping[str, Any]
 
@@ -23,15 +23,15 @@ def document(path: Path, problems: list[str]) -> Document:
         return {}
 
 
-def yaml_document(path: Path, problems: list[str]) -> Document:
-    """The YAML mapping in a file; empty when absent or damaged."""
+def yaml_source(path: Path, problems: list[str]) -> Source:
+    """Return the parsed YAML of a file; without data when it is absent or damaged."""
     if not path.is_file():
-        return {}
+        return Source(str(path))
     try:
-        return as_object(read_source(path).data)
+        return read_source(path)
     except SpecError as error:
         problems.append(f"{path} cannot be read: {error.message}")
-        return {}
+        return Source(str(path))
 
 
 def as_object(value: Any) -> Document:

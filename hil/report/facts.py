@@ -6,12 +6,13 @@ Only the small files are read here. Samples are read by `recording`, models by `
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from hil.core import DataError, HilError, is_live
+from hil.core import DataError, HilError, Source, is_live
 from hil.recording import RunDirectory, name_of_attempt
 from hil.report.documents import (
     Document,
@@ -21,7 +22,7 @@ from hil.report.documents import (
     as_object,
     as_objects,
     document,
-    yaml_document,
+    yaml_source,
 )
 from hil.report.fit_facts import FitFacts, best_first, read_fits
 from hil.report.interrupted import recorded_by
@@ -49,7 +50,7 @@ class RunFacts:
             resumed run has the stop document of its last attempt.
         recorded: What the stop document counts; where there is none, counted by the data.
         whole: Whether start document and plan can be used: nothing goes on without them.
-        spec: The spec as plain YAML; empty where absent or damaged.
+        spec_source: The parsed file of the spec; without data where absent or damaged.
         steps: The plan's steps in JSON form.
         events: As logged.
         fits: In order of folder name.
@@ -66,12 +67,17 @@ class RunFacts:
     plan: Document
     preflight: Document
     verdict: Document
-    spec: Document
+    spec_source: Source
     steps: Sequence[Document]
     events: Sequence[Document]
     fits: tuple[FitFacts, ...]
     studies: StudyFacts
     problems: tuple[str, ...]
+
+    @property
+    def spec(self) -> Document:
+        """The spec as plain YAML; empty where absent or damaged."""
+        return as_object(self.spec_source.data)
 
     @property
     def name(self) -> str:
@@ -198,7 +204,7 @@ class RunFacts:
     def interlock_limit(self, kind: str, key: str) -> float:
         """The strictest limit of an interlock that watched, defaults included; NaN for none."""
         try:
-            watching = load_spec(self.path / "spec.yaml", look_up=False).interlocks
+            watching = load_spec(deepcopy(self.spec_source), look_up=False).interlocks
         except HilError:
             return float("nan")
         limits = (
@@ -241,7 +247,7 @@ def read_facts(path: Path) -> RunFacts:
         plan=plan_document,
         preflight=document(path / "preflight.json", problems),
         verdict=verdict,
-        spec=yaml_document(path / "spec.yaml", problems),
+        spec_source=yaml_source(path / "spec.yaml", problems),
         steps=as_objects(plan_document.get("steps")),
         events=_events(run, problems),
         fits=with_load_criteria(read_fits(model_folders(path), problems), verdict),

@@ -46,12 +46,15 @@ _NO_OVERRIDES: Mapping[str, str] = {}
 
 
 def load_spec(
-    path: str | FilePath, overrides: Mapping[str, str] = _NO_OVERRIDES, *, look_up: bool = True
+    file: str | FilePath | Source,
+    overrides: Mapping[str, str] = _NO_OVERRIDES,
+    *,
+    look_up: bool = True,
 ) -> ExperimentSpec:
     """Read an experiment.
 
     Args:
-        path: The YAML file.
+        file: The YAML file, or what `read_source` read from it, which is changed.
         overrides: Values laid over the file, YAML text by dotted path (`excitation.waypoints`).
         look_up: Check that the estimators, interlocks and files the spec names exist here. Switch
             it off to read the spec of a run that was made elsewhere.
@@ -62,7 +65,8 @@ def load_spec(
     Raises:
         SpecError: With a line `file:line:column: path: message` for every problem.
     """
-    return _spec(read_source(path), FilePath(path).parent, overrides, look_up)
+    source = file if isinstance(file, Source) else read_source(file)
+    return _spec(source, FilePath(source.name).parent, overrides, look_up)
 
 
 def spec_from_text(

@@ -10,7 +10,7 @@ from zoneinfo import ZoneInfo
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from hil.core import Duration, SpecError, read_source
+from hil.core import Duration, Source, SpecError, read_source
 from hil.spec.field_types import Finite, FormatVersion, Name, Positive, Seed, Strict, mistake
 from hil.spec.load import refuse_other_kind, validated
 from hil.spec.named_files import make_absolute
@@ -213,10 +213,10 @@ class ScheduleSpec(Strict):
         return self
 
 
-def is_schedule(path: str | FilePath) -> bool:
-    """Whether a file says that it is a schedule; one that cannot be read says nothing."""
+def is_schedule(file: str | FilePath | Source) -> bool:
+    """Return whether a file, or what was read from it, is a schedule; an unreadable one is none."""
     try:
-        data = read_source(path).data
+        data = file.data if isinstance(file, Source) else read_source(file).data
     except SpecError:
         return False
     return isinstance(data, dict) and KEY in data

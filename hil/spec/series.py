@@ -44,10 +44,10 @@ class SeriesSpec(Strict):
     series: tuple[SeriesEntry, ...] = Field(min_length=1, description="The experiments.")
 
 
-def is_series(path: str | FilePath) -> bool:
-    """Whether a file says that it is a series; one that cannot be read says nothing."""
+def is_series(file: str | FilePath | Source) -> bool:
+    """Return whether a file, or what was read from it, is a series; an unreadable one is none."""
     try:
-        data = read_source(path).data
+        data = file.data if isinstance(file, Source) else read_source(file).data
     except SpecError:
         return False
     return isinstance(data, dict) and KEY in data

@@ -15,7 +15,15 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from hil.core import DataError, RecordingError, SpecError, is_live, json_document, write_replacing
+from hil.core import (
+    DataError,
+    RecordingError,
+    SpecError,
+    is_live,
+    json_document,
+    read_source,
+    write_replacing,
+)
 from hil.planning import Commissioning, Experiment, commissioning_of, load_experiment
 from hil.recording import RunDirectory
 from hil.recording import operator as this_user
@@ -54,16 +62,17 @@ def check_start(
         SpecError: Spec or station have problems; all are listed. Or it is a schedule.
         PluginError: An extra that it needs is not installed.
     """
-    if is_schedule(spec):
+    source = read_source(spec)
+    if is_schedule(source):
         raise SpecError(
             f"{spec} is a schedule, which runs by itself", hint=f"hil schedule run {spec}"
         )
-    if is_series(spec):
+    if is_series(source):
         if overrides:
             raise SpecError(f"{spec} is a series: --set is for experiments")
         experiments = load_series(spec, station).experiments
     else:
-        experiments = (load_experiment(spec, station, overrides or {}),)
+        experiments = (load_experiment(source, station, overrides or {}),)
     for experiment in experiments:
         check_driver(replace(experiment, commissioning=commissioning))
         if commissioning is None:
