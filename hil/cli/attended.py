@@ -54,12 +54,12 @@ class Attended:
 
     def run(self, experiment: Experiment, runs: Path) -> RunReport:
         """Run an experiment."""
-        from hil import api
-        from hil.workflow import check_driver
+        from hil.workflow import checked_robot, run_experiment
 
-        robot = check_driver(experiment)
-        confirm = self.together.begin(experiment) if self.together else self._confirm()
-        return self._attend(lambda: robot, partial(api.run, experiment, runs=runs), confirm)
+        with checked_robot(experiment) as robot:
+            confirm = self.together.begin(experiment) if self.together else self._confirm()
+            move = partial(run_experiment, experiment, runs=runs, robot=robot)
+            return self._attend(lambda: robot.capabilities, move, confirm)
 
     def resume(self, run: Path) -> RunReport:
         """Go on with a run."""

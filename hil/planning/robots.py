@@ -94,6 +94,7 @@ def held(
     wait_s: float = 0.0,
     report: Callable[[str], object],
     admit: Callable[[Robot], object] = lambda robot: None,
+    robot: Robot | None = None,
 ) -> Iterator[tuple[Robot, Lease]]:
     """The experiment's robot, connected and leased while inside: no other process has it.
 
@@ -102,12 +103,15 @@ def held(
         wait_s: How long to wait for another process to release it [s].
         report: Called once with the current lease holder.
         admit: Called with the robot before it is leased and connected; may refuse it by raising.
+        robot: The robot, if it is open already; else it is opened here.
 
     Raises:
         RobotConnectionError: Another process holds the robot, or it cannot be reached.
         PluginError, SpecError, RobotError: See `open_robot`.
     """
-    with opened(experiment.spec.robot, experiment.robot) as robot:
+    with contextlib.ExitStack() as until_closed:
+        if robot is None:
+            robot = until_closed.enter_context(opened(experiment.spec.robot, experiment.robot))
         admit(robot)
         with leased_and_connected(experiment, robot, wait_s=wait_s, tell=report) as lease:
             yield robot, lease

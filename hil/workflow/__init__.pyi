@@ -20,6 +20,7 @@ from .desk import Desk as Desk
 from .desk import console_desk as console_desk
 from .detached import own_environment as own_environment
 from .driver_check import check_driver as check_driver
+from .driver_check import checked_robot as checked_robot
 from .excitation import appraise_excitation as appraise_excitation
 from .extras import missing_extras as missing_extras
 from .extras import require_extras as require_extras

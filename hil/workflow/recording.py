@@ -22,13 +22,16 @@ from hil.workflow.interlocks import interlocks_for
 from hil.workflow.operator import prompt_on, require_attended
 
 
-def record(experiment: Experiment, *, runs: Path, attendance: Attendance) -> Recorded:
+def record(
+    experiment: Experiment, *, runs: Path, attendance: Attendance, opened: Robot | None = None
+) -> Recorded:
     """Plan, check and execute; leaves a complete run directory however it ends.
 
     Args:
         experiment: What to do, and where.
         runs: Where run directories are kept.
         attendance: Who and what attends it.
+        opened: The robot, if it is open already.
 
     Raises:
         SpecError, PlanError, PluginError, RobotError: Before a run directory exists.
@@ -38,10 +41,13 @@ def record(experiment: Experiment, *, runs: Path, attendance: Attendance) -> Rec
         RecordingError: The run directory cannot be made.
     """
     gate = Gate(experiment, attendance.confirm)
-    with held(experiment, wait_s=attendance.wait_s, report=attendance.stage, admit=gate.admit) as (
-        robot,
-        lease,
-    ):
+    with held(
+        experiment,
+        wait_s=attendance.wait_s,
+        report=attendance.stage,
+        admit=gate.admit,
+        robot=opened,
+    ) as (robot, lease):
         require_within_reach(experiment, robot.capabilities)
         require_usable(experiment, robot)
         attendance.stage("planning")

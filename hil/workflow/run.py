@@ -28,6 +28,7 @@ from hil.workflow.recording import record
 from hil.workflow.run_report import RunReport
 
 if TYPE_CHECKING:
+    from hil.robot import Robot
     from hil.workflow.attempt import Recorded
 
 
@@ -39,6 +40,7 @@ def run_experiment(
     observers: Sequence[Observer] = (),
     waivers: Mapping[str, str] | None = None,
     desk: Desk | None = None,
+    robot: Robot | None = None,
 ) -> RunReport:
     """Run an experiment to the end of what is possible.
 
@@ -49,13 +51,14 @@ def run_experiment(
         observers: Receive progress events.
         waivers: Preflight check → why its failure is accepted.
         desk: Where prompts are answered and pauses are ended; by default the console.
+        robot: The experiment's robot, if it is open already; it is closed after the motion.
 
     Raises:
         HilError: What went wrong before there was a run directory; later errors are in the report.
     """
 
     def motion(attendance: Attendance) -> Recorded:
-        return record(experiment, runs=runs, attendance=attendance)
+        return record(experiment, runs=runs, attendance=attendance, opened=robot)
 
     return _attended(experiment, motion, operator, observers, waivers or {}, desk)
 
