@@ -24,6 +24,7 @@ from hil.data import (
     Conditions,
     Dataset,
     Model,
+    Prediction,
     correlation,
     mep,
     nrmse,
@@ -148,7 +149,13 @@ class Evaluation:
         }
 
 
-def evaluate(model: Model, dataset: Dataset, train_std: FloatArray | None = None) -> Evaluation:
+def evaluate(
+    model: Model,
+    dataset: Dataset,
+    train_std: FloatArray | None = None,
+    *,
+    prediction: Prediction | None = None,
+) -> Evaluation:
     """Judge a model on a dataset.
 
     Args:
@@ -156,11 +163,13 @@ def evaluate(model: Model, dataset: Dataset, train_std: FloatArray | None = None
         dataset: Data the model has not seen (see `hil.data.splits.assert_disjoint`).
         train_std: (n,) standard deviation of the training signal for `nrmse`; by default that of
             the group judged.
+        prediction: What the model predicts for the dataset, if it is known; else it is computed.
 
     Raises:
         DataError: The data are of another robot or unit, or a series is too short to filter.
     """
-    prediction = model.predict(dataset)
+    if prediction is None:
+        prediction = model.predict(dataset)
     judged = prediction.valid & np.isfinite(dataset["effort"])
     signals = _Signals(
         dataset["effort"], filtered_effort(dataset), prediction.effort, judged, train_std

@@ -6,6 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from hil.data import Dataset, Model, Prediction
 from hil.estimators import HONEST
 from hil.evaluation.evaluation import Evaluation, evaluate
 from hil.evaluation.fitting import Fitted
@@ -26,6 +29,8 @@ class Judged:
         trained: Its errors on the data it was fitted to, for comparison only.
         verdict: Whether the held-out errors meet the criteria; not judged unless honest.
         document: The content of `evaluation.json`, but for the seconds the fit took.
+        test: The data it has not seen.
+        prediction: What it predicts for them.
     """
 
     estimator: str
@@ -35,6 +40,17 @@ class Judged:
     trained: Evaluation
     verdict: Verdict
     document: dict[str, Any]
+    test: Dataset
+    prediction: Prediction
+
+    def predict(self, model: Model, data: Dataset) -> Prediction:
+        """Return the model's prediction for `data`, computed only where it is not known."""
+        same_series = [c.id for c in data.conditions] == [c.id for c in self.test.conditions]
+        known = same_series and all(
+            np.array_equal(data[name], self.test[name], equal_nan=True)
+            for name in ("t", "q", "effort")
+        )
+        return self.prediction if known else model.predict(data)
 
 
 def judged_model(estimator: str, fitted: Fitted, parts: Parts, accept: Accept) -> Judged:
@@ -46,7 +62,8 @@ def judged_model(estimator: str, fitted: Fitted, parts: Parts, accept: Accept) -
         parts: Of the run.
         accept: Criteria of its spec; those of its recording and of loads are judged elsewhere.
     """
-    held_out = evaluate(fitted.model, parts.test, fitted.train_std)
+    prediction = fitted.model.predict(parts.test)
+    held_out = evaluate(fitted.model, parts.test, fitted.train_std, prediction=prediction)
     trained = evaluate(fitted.model, parts.train, fitted.train_std)
     protocol = fitted.model.protocol
     verdict = judge(held_out, criteria_of(accept) if protocol == HONEST else [])
@@ -59,7 +76,17 @@ def judged_model(estimator: str, fitted: Fitted, parts: Parts, accept: Accept) -
         "trained": trained.to_dict(),
         "verdict": verdict.to_dict() | ({} if verdict.judged else {"passed": None}),
     }
-    return Judged(estimator, protocol, fitted.folder, held_out, trained, verdict, document)
+    return Judged(
+        estimator,
+        protocol,
+        fitted.folder,
+        held_out,
+        trained,
+        verdict,
+        document,
+        parts.test,
+        prediction,
+    )
 
 
 def criteria_of(accept: Accept) -> list[Criterion]:

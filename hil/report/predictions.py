@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,6 +26,9 @@ from hil.estimators import load_model_file
 from hil.report.documents import as_names
 from hil.report.fit_facts import FitFacts
 from hil.report.friction_seen import Friction, at_rest, in_motion, scale_of
+
+if TYPE_CHECKING:
+    from hil.evaluation import Judged
 
 MOST_ROWS = 60_000
 """More rows than this are not predicted for a plot; whole series are left out."""
@@ -103,8 +107,8 @@ def _within_run(name: str) -> str:
     return name.rpartition(":")[2]
 
 
-def show(folder: Path, data: Dataset) -> Shown:
-    """Predict held-out data with a saved model.
+def show(folder: Path, data: Dataset, judged: Judged | None = None) -> Shown:
+    """Predict held-out data with a saved model, except what is known since it was judged.
 
     Raises:
         HilError: The model cannot be loaded, or does not fit the data.
@@ -112,21 +116,21 @@ def show(folder: Path, data: Dataset) -> Shown:
     from hil.evaluation import usable_part
 
     model = load_model_file(folder)
-    return shown(model, usable_part(data, model))
+    return shown(model, usable_part(data, model), judged)
 
 
-def shown(model: Model, data: Dataset) -> Shown:
+def shown(model: Model, data: Dataset, judged: Judged | None = None) -> Shown:
     """Predict held-out data with a model; whatever is no dwell counts as a trajectory."""
     held, moved = _few(data.of_kind("dwell")), _few(data.of_kind("trajectory", "move"))
     _, unit = scale_of(model)
     dwells = motions = None
     friction = Friction(unit)
     if held.conditions:
-        prediction = model.predict(held)
+        prediction = judged.predict(model, held) if judged else model.predict(held)
         dwells = _dwells(held, prediction)
         friction = replace(friction, at_rest=at_rest(model, held, prediction))
     if moved.conditions:
-        prediction = model.predict(moved)
+        prediction = judged.predict(model, moved) if judged else model.predict(moved)
         motions = _motions(moved, prediction, velocity(model, moved))
         friction = replace(friction, in_motion=in_motion(model, moved, prediction, motions.qd))
     return Shown(dwells, motions, friction)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from hil.arms import require_same_arm
 from hil.core import DataError, HilError
@@ -39,13 +40,20 @@ from hil.report.render import write_page
 from hil.report.study_sections import study_sections
 from hil.report.words import listed, when
 
+if TYPE_CHECKING:
+    from hil.evaluation import Judged
+
 REPORT_FILE = "report.html"
 MOST_PLOTTED = 6
 """Models beyond this many get their tables, but no plots: the page must stay light."""
 
 
-def render_report(run: Path) -> Path:
+def render_report(run: Path, judged: Sequence[Judged] = ()) -> Path:
     """Write `report.html` into a run directory, whatever state the run is in.
+
+    Args:
+        run: The run directory.
+        judged: Models that were judged just now: what they predicted is not computed again.
 
     Returns:
         The path of the page.
@@ -60,7 +68,7 @@ def render_report(run: Path) -> Path:
             f"{run} lacks recordings that were deleted (pruned.json)",
             hint=f"{page} was made when they were there, and stays",
         )
-    return write_page(run_page(Path(run)), page)
+    return write_page(run_page(Path(run), judged), page)
 
 
 def render_fit_report(
@@ -84,14 +92,14 @@ def render_fit_report(
     return write_page(fit_page(folders, held_out), Path(out))
 
 
-def run_page(path: Path) -> Page:
-    """The page of a run, as blocks."""
+def run_page(path: Path, judged: Sequence[Judged] = ()) -> Page:
+    """Return the page of a run, as blocks; for the arguments see `render_report`."""
     facts = read_facts(path)
     require_same_arm(robot_of_run(facts.start), path, "leave the page that is there", gone=True)
     problems: list[str] = []
     recording = read_recording(facts, problems)
     held_out = _held_out(facts, recording, problems)
-    shown = _shown(facts.judged_fits, held_out, problems)
+    shown = _shown(facts.judged_fits, held_out, problems, judged)
     drift = drift_of(facts, recording) if recording else None
     about = (facts.run_name, facts.robot_title, when(facts.start.get("started")))
     return Page(
@@ -192,15 +200,19 @@ def _held_out(
 
 
 def _shown(
-    fits: Sequence[FitFacts], held_out: Mapping[str, Dataset], problems: list[str]
+    fits: Sequence[FitFacts],
+    held_out: Mapping[str, Dataset],
+    problems: list[str],
+    judged: Sequence[Judged] = (),
 ) -> dict[str, Shown]:
     out: dict[str, Shown] = {}
+    known = {one.folder.name: one for one in judged}
     for fit in fits[:MOST_PLOTTED]:
         data = held_out.get(fit.label)
         try:
             if data is not None:
                 _require_same_joints(fit, data)
-                out[fit.label] = show(fit.folder, data)
+                out[fit.label] = show(fit.folder, data, known.get(fit.folder.name))
         except HilError as error:
             problems.append(f"The plots of {fit.label} are left out: {error.message}")
     return out

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 
 from hil.core import HilError, Stopped
 from hil.engine import Observers, Outcome, SignalWatch, StopSignal
+from hil.evaluation import Judged
 from hil.planning import Experiment
 from hil.spec import StudyEntry
 from hil.studies import Ended
@@ -17,25 +18,34 @@ from hil.workflow.trainings import are_kept
 
 
 def judge_and_study(
-    experiment: Experiment, recorded: Recorded, signals: SignalWatch, watching: Observers
+    experiment: Experiment,
+    recorded: Recorded,
+    signals: SignalWatch,
+    watching: Observers,
+    keep: Callable[[Judged], object] = lambda judged: None,
 ) -> HilError | None:
     """Fit, judge and study a completed run; return what ended it early, or what is missing.
 
     If the run was judged already, because its process died later, only missing studies are made.
+    `keep` is called with every model that is judged now.
     """
     entries = experiment.spec.study
     if recorded.directory.is_judged:
         error = missing_models(recorded.directory)
         entries = missing_studies(recorded.directory.path, entries)
     else:
-        error = _judge(experiment, recorded, signals, watching)
+        error = _judge(experiment, recorded, signals, watching, keep)
     if signals.seen or not _is_whole(recorded):
         return error
     return _both(error, _study(entries, recorded, signals, watching))
 
 
 def _judge(
-    experiment: Experiment, recorded: Recorded, signals: SignalWatch, watching: Observers
+    experiment: Experiment,
+    recorded: Recorded,
+    signals: SignalWatch,
+    watching: Observers,
+    keep: Callable[[Judged], object],
 ) -> HilError | None:
     """Fit and judge a completed run; returns what ended the run or the fit early."""
     result = recorded.result
@@ -52,7 +62,7 @@ def _judge(
     names = ", ".join(fit.estimator for fit in experiment.spec.fit)
     watching.publish({"kind": "stage", "stage": f"fitting {names}" if names else "judging"})
     try:
-        judge_run(recorded.directory, experiment.spec, recorded.counts, watching.publish)
+        judge_run(recorded.directory, experiment.spec, recorded.counts, watching.publish, keep=keep)
     except (Exception, StopSignal) as error:
         if signals.seen:
             return _stopped(recorded, signals)

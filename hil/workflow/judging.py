@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +30,12 @@ from hil.workflow.under_loads import Row, judge_under_loads
 
 
 def judge_run(
-    directory: RunDirectory, spec: ExperimentSpec, counts: Mapping[str, int], tell: Tell = nobody
+    directory: RunDirectory,
+    spec: ExperimentSpec,
+    counts: Mapping[str, int],
+    tell: Tell = nobody,
+    *,
+    keep: Callable[[Judged], object] = lambda judged: None,
 ) -> bool | None:
     """Judge a completed run: its recording, and every estimator of the spec on what was held out.
 
@@ -40,7 +45,8 @@ def judge_run(
 
     With `validate.under_loads` the models are also judged under every load of the run.
 
-    How far fits are is told as `hil.workflow.trainings` says.
+    How far fits are is told as `hil.workflow.trainings` says. `keep` is called with every judged
+    model.
 
     Returns:
         Whether all criteria are met; None when there are none for a model, or when no criterion
@@ -61,6 +67,7 @@ def judge_run(
         try:
             with news.ended():
                 judged.append(_judge_one(directory, data, fit, spec, news))
+                keep(judged[-1])
         except HilError as error:
             problems.append(FailedFit(fit.estimator, error))
         # Estimators are plug-ins: whatever one of them raises must not cost the others.

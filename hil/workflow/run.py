@@ -28,6 +28,7 @@ from hil.workflow.recording import record
 from hil.workflow.run_report import RunReport
 
 if TYPE_CHECKING:
+    from hil.evaluation import Judged
     from hil.robot import Robot
     from hil.workflow.attempt import Recorded
 
@@ -135,10 +136,11 @@ def _attended(
                 raise
             from hil.workflow.afterwards import judge_and_study
 
-            error = judge_and_study(experiment, recorded, signals, watching)
+            judged: list[Judged] = []
+            error = judge_and_study(experiment, recorded, signals, watching, judged.append)
             watching.publish({"kind": "stage", "stage": "writing the report"})
             with signals.guard():
-                page, problem = _report(recorded.directory.path)
+                page, problem = _report(recorded.directory.path, judged)
     finally:
         watching.close()
     return _told(recorded, page, error or problem)
@@ -159,8 +161,8 @@ def _told(recorded: Recorded, page: Path | None, error: HilError | None) -> RunR
     )
 
 
-def _report(run: Path) -> tuple[Path | None, HilError | None]:
+def _report(run: Path, judged: Sequence[Judged]) -> tuple[Path | None, HilError | None]:
     try:
-        return render_report(run), None
+        return render_report(run, judged), None
     except HilError as error:
         return None, error
