@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from hil.core.typing import StructArray
-from hil.engine.interlocks import Interlock, InterlockContext, from_spec
+from hil.engine.interlocks import Interlock, InterlockContext, interlocks_from_spec
 from hil.robot import Status, state_dtype
 from hil.spec.interlocks import Interlock as InterlockSpec
 
@@ -41,5 +41,7 @@ def spec_of(**entry: Any) -> Any:
 
 def made(context: InterlockContext | None = None, **entry: Any) -> Interlock:
     """The one interlock that an entry asks for."""
-    (interlock,) = from_spec([spec_of(**entry)], context or InterlockContext(joint_names=NAMES))
+    (interlock,) = interlocks_from_spec(
+        [spec_of(**entry)], context or InterlockContext(joint_names=NAMES)
+    )
     return interlock

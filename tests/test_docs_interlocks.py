@@ -14,7 +14,7 @@ from interlock_parts import NAMES, rows
 from kinematic_robot import KinematicRobot
 
 from hil.core import plugins
-from hil.engine.interlocks import InterlockContext, from_spec
+from hil.engine.interlocks import InterlockContext, interlocks_from_spec
 from hil.spec import spec_from_text
 from hil.spec.interlocks import DEFAULTS, INTERLOCK_KINDS
 from hil.spec.model_tree import kinds_of
@@ -72,7 +72,9 @@ def plugged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_plug_in_shown_trips() -> None:
     spec = spec_from_text(HEAD + block(HOW_TO, "yaml"))
     context = InterlockContext(joint_names=NAMES, drive_gains=(10.0,) * 6)
-    (power,) = (one for one in from_spec(spec.interlocks, context) if one.name == "power")
+    (power,) = (
+        one for one in interlocks_from_spec(spec.interlocks, context) if one.name == "power"
+    )
     assert power.check(rows(effort=5.0, qd=2.0)) is None
     trip = power.check(rows(effort=5.0, qd=-3.1))
     assert trip is not None

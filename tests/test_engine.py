@@ -16,7 +16,7 @@ from hil.arms.payload import Payload
 from hil.core.errors import InterlockTripped, PlanError, RobotFault
 from hil.core.typing import StructArray
 from hil.engine import Observers, Outcome, Reply, RunState
-from hil.engine.interlocks import Threshold, from_spec
+from hil.engine.interlocks import Threshold, interlocks_from_spec
 from hil.engine.states import IllegalTransition, StateMachine
 from hil.robot import Robot
 from hil.spec.experiment import SpeedInterlock, TemperatureInterlock, TrackingErrorInterlock
@@ -80,7 +80,7 @@ def test_an_interlock_trips_on_a_single_sample(spec: Any, field: str, value: flo
             block[field][5, 2] = value
 
     robot, sink = KinematicRobot(spike), ListSink()
-    result = engine(robot, sink, interlocks=from_spec([spec])).run()
+    result = engine(robot, sink, interlocks=interlocks_from_spec([spec])).run()
     assert result.outcome is Outcome.TRIPPED
     assert isinstance(result.error, InterlockTripped)
     assert "j3" in result.reason
@@ -103,7 +103,7 @@ def test_a_temperature_that_is_not_measured_does_not_trip() -> None:
     def blind(block: StructArray) -> None:
         block["temperature"] = np.nan
 
-    locks = from_spec([TemperatureInterlock(kind="temperature", limit_c=70)])
+    locks = interlocks_from_spec([TemperatureInterlock(kind="temperature", limit_c=70)])
     assert engine(KinematicRobot(blind), ListSink(), interlocks=locks).run().error is None
 
 
@@ -111,7 +111,7 @@ def test_a_tracking_error_that_cannot_be_seen_trips() -> None:
     def blind(block: StructArray) -> None:
         block["q"] = np.nan
 
-    locks = from_spec([TrackingErrorInterlock(kind="tracking_error", limit_rad=0.05)])
+    locks = interlocks_from_spec([TrackingErrorInterlock(kind="tracking_error", limit_rad=0.05)])
     result = engine(KinematicRobot(blind), ListSink(), interlocks=locks).run()
     assert result.outcome is Outcome.TRIPPED
 
@@ -121,7 +121,7 @@ def test_an_unknown_interlock_is_refused() -> None:
         kind = "wishful"
 
     with pytest.raises(PlanError, match="wishful"):
-        from_spec([Unknown()])
+        interlocks_from_spec([Unknown()])
 
 
 def test_an_interlock_stops_the_robot_before_anything_else_happens() -> None:
@@ -136,7 +136,7 @@ def test_an_interlock_stops_the_robot_before_anything_else_happens() -> None:
             block["qd"] = 2.0
 
     robot, sink = KinematicRobot(fast), Watching()
-    locks = from_spec([SpeedInterlock(kind="speed", limit_deg_s=90)])
+    locks = interlocks_from_spec([SpeedInterlock(kind="speed", limit_deg_s=90)])
     engine(robot, sink, interlocks=locks).run()
     assert [e["kind"] for e in sink.events].count("trip") == 1
     assert robot.calls.count("stop") == 2

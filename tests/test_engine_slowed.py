@@ -11,7 +11,7 @@ from kinematic_robot import KinematicRobot
 from hil.core.errors import RobotFault
 from hil.core.typing import StructArray
 from hil.engine import Outcome
-from hil.engine.interlocks import InterlockContext, Interlocks, from_spec
+from hil.engine.interlocks import InterlockContext, Interlocks, interlocks_from_spec
 from hil.robot import HasSpeedScaling, Status
 from hil.spec.interlocks import DEFAULTS, SpeedScalingInterlock
 
@@ -48,12 +48,12 @@ class WithSlider(KinematicRobot):
 def watching(robot: object, action: str = "pause") -> Interlocks:
     assert isinstance(robot, HasSpeedScaling)
     spec = SpeedScalingInterlock(kind="speed_scaling", action=action)
-    return from_spec([spec], InterlockContext(speed_scaling=lambda: robot.speed_scaling))
+    return interlocks_from_spec([spec], InterlockContext(speed_scaling=lambda: robot.speed_scaling))
 
 
 def test_it_watches_by_default_robots_that_report_it() -> None:
     assert SpeedScalingInterlock(kind="speed_scaling") in DEFAULTS
-    (off,) = from_spec([SpeedScalingInterlock(kind="speed_scaling")]).off
+    (off,) = interlocks_from_spec([SpeedScalingInterlock(kind="speed_scaling")]).off
     assert off.name == "speed_scaling"
     assert "does not report" in off.why
 

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from interlock_parts import NAMES, made, rows, spec_of
 
-from hil.engine.interlocks import Backlog, FreeSpace, InterlockContext, from_spec
+from hil.engine.interlocks import Backlog, FreeSpace, InterlockContext, interlocks_from_spec
 
 BLOCK = rows()
 HERE = Path()
@@ -69,7 +69,7 @@ def test_a_robot_that_waits_for_the_recorder_needs_no_watch_over_it() -> None:
         InterlockContext(behind_s=lambda: 9.0, clock="virtual"),
         InterlockContext(behind_s=None, clock="wall"),
     ):
-        interlocks = from_spec([spec_of(kind="recorder")], context)
+        interlocks = interlocks_from_spec([spec_of(kind="recorder")], context)
         assert [off.name for off in interlocks.off] == ["recorder"]
     wall = InterlockContext(behind_s=lambda: 9.0, clock="wall")
     assert made(wall, kind="recorder", behind_s=1).check(BLOCK) is not None
@@ -166,7 +166,9 @@ def test_closing_ends_the_thread_and_nothing_begins_before_the_first_check() -> 
         return sum(t.name == "hil-free-space" for t in threading.enumerate())
 
     before = threads()
-    interlocks = from_spec([spec_of(kind="disk", free_mb=0.001)], InterlockContext(folder=HERE))
+    interlocks = interlocks_from_spec(
+        [spec_of(kind="disk", free_mb=0.001)], InterlockContext(folder=HERE)
+    )
     assert threads() == before
     (interlock,) = interlocks
     assert interlock.check(BLOCK) is None

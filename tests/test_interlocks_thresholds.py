@@ -10,7 +10,7 @@ import pytest
 from interlock_parts import NAMES, made, rows, spec_of, with_value
 
 from hil.core.errors import InterlockTripped, PlanError
-from hil.engine.interlocks import InterlockContext, from_spec
+from hil.engine.interlocks import InterlockContext, interlocks_from_spec
 
 CURRENT = InterlockContext(joint_names=NAMES, effort_kind="current")
 GEARED = InterlockContext(
@@ -141,14 +141,14 @@ def test_all_that_cannot_be_judged_is_refused_at_once() -> None:
         spec_of(kind="workspace", min_m=[0, 0, 0]),
     ]
     with pytest.raises(PlanError) as caught:
-        from_spec(entries, CURRENT)
+        interlocks_from_spec(entries, CURRENT)
     told = [line.partition(":")[0] for line in caught.value.message.splitlines()]
     assert told == ["interlocks.0 (torque)", "interlocks.2 (clearance)", "interlocks.3 (workspace)"]
 
 
 def test_the_robots_own_torque_limit_is_watched_only_where_it_can_be() -> None:
     for context in (CURRENT, InterlockContext(effort_kind="torque")):
-        interlocks = from_spec([spec_of(kind="torque")], context)
+        interlocks = interlocks_from_spec([spec_of(kind="torque")], context)
         assert len(interlocks) == 0
         assert [off.name for off in interlocks.off] == ["torque"]
         assert "not known" in interlocks.off[0].why
@@ -160,7 +160,7 @@ def test_a_joint_without_a_torque_limit_of_its_own_is_named_and_the_others_are_w
     what: str, unknown: float
 ) -> None:
     known = getattr(GEARED, what)
-    interlocks = from_spec(
+    interlocks = interlocks_from_spec(
         [spec_of(kind="torque")], replace(GEARED, **{what: (*known[:5], unknown)})
     )
     assert [off.name for off in interlocks.off] == ["torque"]
@@ -175,7 +175,9 @@ def test_a_joint_without_a_torque_limit_of_its_own_is_named_and_the_others_are_w
 
 @pytest.mark.parametrize("unknown", [np.inf, np.nan, 0.0])
 def test_torque_is_off_where_no_joint_has_a_limit(unknown: float) -> None:
-    interlocks = from_spec([spec_of(kind="torque")], replace(TORQUE, effort_max=(unknown,) * 6))
+    interlocks = interlocks_from_spec(
+        [spec_of(kind="torque")], replace(TORQUE, effort_max=(unknown,) * 6)
+    )
     assert len(interlocks) == 0
     assert "not known for j1, j2, j3, j4, j5, j6" in interlocks.off[0].why
 
