@@ -16,7 +16,7 @@ from hil.excitation.optimiser import ExcitationProblem, Optimised, Progress, opt
 from hil.excitation.optimiser.draw import within_linear_limits
 from hil.excitation.optimiser.linear_limits import LinearLimits
 from hil.excitation.optimiser.motion_limits import MotionLimits
-from hil.excitation.optimiser.value import ValueOf
+from hil.excitation.optimiser.objective import ValueOf
 
 ROBOT = RobotModel.from_arm("ur5")
 SPEED, ACCELERATION = 2.0, 6.0

@@ -21,7 +21,7 @@ from recorded_rows import JOINTS, record_state
 from hil.core.errors import HilError
 from hil.core.typing import StructArray
 from hil.recording import read_info, read_topic
-from hil.recording.file_recovery import recover_file
+from hil.recording.recovery import recover_file
 
 MAGIC = b"\x89MCAP0\r\n"
 HEADER = b"\x04\0\0\0ros2\0\0\0\0"

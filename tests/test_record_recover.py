@@ -23,8 +23,8 @@ from hil.core.errors import DataError, RecordingError
 from hil.core.live_lock import hold_run
 from hil.core.typing import StructArray
 from hil.recording import Attachment, RunDirectory, read_info, read_topic
-from hil.recording.file_recovery import recover_file
 from hil.recording.recover_run import recover
+from hil.recording.recovery import recover_file
 from hil.recording.scan import scan
 from hil.report.soundness import torn as torn_in_words
 
@@ -323,7 +323,7 @@ def test_older_torn_file_is_never_replaced(torn: Path) -> None:
 PEAK = """
 import sys
 from pathlib import Path
-from hil.recording.file_recovery import recover_file
+from hil.recording.recovery import recover_file
 recover_file(Path(sys.argv[1]))
 # Not ru_maxrss: that of a child counts what its parent had before the exec.
 lines = Path("/proc/self/status").read_text().splitlines()

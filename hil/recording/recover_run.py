@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from hil.core import DataError, HilError, RecordingError, hold_run, run_holder
-from hil.recording.file_recovery import recover_file
 from hil.recording.parts import recordings_in
-from hil.recording.recovery import Recovery
+from hil.recording.recovery import recover_file
+from hil.recording.recovery_result import Recovery
 from hil.recording.reserve import release
 from hil.recording.rundir import RunDirectory
 from hil.recording.torn_names import TORN_SUFFIX

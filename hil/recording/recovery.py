@@ -1,162 +1,192 @@
-"""What a recovery kept and what is lost: as data, as JSON and in words."""
+"""`hil recover`: torn MCAP files become whole, indexed ones, without risk to what is there.
+
+The new file is written as a draft, made durable, read back with mcap's own reader and compared
+with what was taken from the torn one; only then is it given its name, and only after that is the
+torn file set aside as `NN.mcap.torn`. A kill at any point leaves the old state or the new one, and
+doing it again goes on from there.
+"""
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, field
-from datetime import datetime
+import contextlib
+import os
+from datetime import UTC, datetime
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, Literal
+from typing import IO
 
-from hil.recording.rebuild import Damage, Salvage
+from hil.core import DataError, RecordingError, fsync_directory, sha256_of
+from hil.recording.empty_part import never_got_a_message
+from hil.recording.lost import hint_of_lost
+from hil.recording.rebuild import Salvage, rebuild, survey
+from hil.recording.recovery_result import Did, Recovery
+from hil.recording.scan import Layout, scan
+from hil.recording.tally import tally_of
+from hil.recording.torn_names import (
+    Names,
+    disk_named,
+    held,
+    install,
+    names_of,
+    remove_drafts,
+    require_room,
+    set_aside,
+)
 
-Did = Literal["nothing", "renamed", "rebuilt", "empty", "discarded"]
 
-_MOST_DAMAGES_TOLD = 5
-_LAST_SECOND_OF_9999 = 253402300799.0
+def recover_file(
+    path: Path, out: Path | None = None, *, discard: bool = False, part: bool = False
+) -> Recovery:
+    """Make a torn or damaged MCAP file whole.
 
+    Args:
+        path: The file, of this package or any other writer.
+        out: Where the whole file goes; nothing else is touched then. By default the whole file
+            takes the final name, and the torn one is kept beside it with `.torn` behind its name.
+        discard: Delete the torn file once what was made of it has been read back.
+        part: It is part of a run: a kill before its first message leaves an empty recording, and
+            that is what it becomes.
 
-@dataclass(frozen=True, slots=True)
-class Recovery:
-    """What became of one file.
+    Returns:
+        What was kept and lost. A file that is whole is left as it is.
 
-    Attributes:
-        path: The file as it was given.
-        did: `nothing`, because it is whole; `renamed`, because only its name was missing;
-            `rebuilt`; `empty`, rebuilt too, but it never got a message; or `discarded`, because
-            it had been rebuilt before.
-        out: The whole file.
-        torn: Where the torn file is now; None when there is none any more.
-        problem: Where and why it was torn or damaged, empty when it was whole.
-        lost_bytes: From the tear to the end of the file.
-        salvage: What was kept and what was damaged before the tear.
+    Raises:
+        DataError: It is missing or no MCAP file, not one message in it is whole, somebody is
+            writing or recovering it, or a file of the final name is there and holds something else.
+        RecordingError: The disk refuses, or what was written reads back different. The torn file
+            is as it was then.
     """
-
-    path: Path
-    did: Did
-    out: Path
-    torn: Path | None = None
-    problem: str = ""
-    lost_bytes: int = 0
-    salvage: Salvage = field(default_factory=Salvage)
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON form; times are Unix time [s]."""
-        return {
-            "file": str(self.path),
-            "did": self.did,
-            "out": str(self.out),
-            "torn": str(self.torn) if self.torn else None,
-            "problem": self.problem,
-            "lost_bytes": self.lost_bytes,
-            "kept": [kept.to_dict() for kept in kept_by_topic(self.salvage)],
-            "damaged": [_damage_to_dict(damage) for damage in self.salvage.damages],
-            "damaged_records": self.salvage.damaged,
-            "orphaned_messages": self.salvage.orphans,
-            "wrong_indexes": self.salvage.misindexed,
-        }
-
-    def to_lines(self) -> list[str]:
-        """The same in words, for people."""
-        if self.did == "nothing" and self.path != self.out:
-            return [f"{self.path} was recovered before: {self.out} holds all that is whole in it"]
-        if self.did == "nothing":
-            return [f"{self.path} is whole: {_told(self.salvage)}"]
-        if self.did == "renamed":
-            return [f"{self.path} is whole, only its name was not: it is {self.out} now"]
-        if self.did == "discarded":
-            return [f"{self.path} is deleted: {self.out} holds all that is whole in it"]
-        lines = [f"{self.path} is {self.problem}"]
-        if self.did == "empty":
-            told = "nothing: the kill came before its first samples reached it"
-            return [*lines, f"  lost  {told}", f"  → {self.out}, an empty recording"]
-        lines += [f"  kept  {kept.to_line()}" for kept in kept_by_topic(self.salvage)]
-        lines += [f"  lost  {line}" for line in self._lost()]
-        kept = f"; the torn file is {self.torn}" if self.torn else "; the torn file is deleted"
-        return [*lines, f"  → {self.out}, read back and equal{kept}"]
-
-    def _lost(self) -> list[str]:
-        found = self.salvage
-        lines = [f"{self.lost_bytes} bytes behind the tear"] if self.lost_bytes else []
-        if lines and found.ended:
-            lines = [f"no message: the tear is in the index ({self.lost_bytes} bytes)"]
-        lines += [_damage_in_words(damage) for damage in found.damages[:_MOST_DAMAGES_TOLD]]
-        if (more := found.damaged - _MOST_DAMAGES_TOLD) > 0:
-            lines.append(f"… and {more} more damaged records")
-        if found.orphans:
-            lines.append(f"{found.orphans} messages of which nothing says what they are")
-        if found.misindexed:
-            lines.append(f"nothing by {found.misindexed} wrong message indexes: they are made anew")
-        return lines or ["nothing"]
-
-
-@dataclass(frozen=True, slots=True)
-class TopicKept:
-    """What was kept of one topic; times are log times [s, Unix]."""
-
-    topic: str
-    messages: int
-    first_s: float
-    last_s: float
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON form; times are null where there is no message."""
-        some = self.messages > 0
-        return {
-            "topic": self.topic,
-            "messages": self.messages,
-            "from": self.first_s if some else None,
-            "to": self.last_s if some else None,
-        }
-
-    def to_line(self) -> str:
-        """In words."""
-        told = f"{self.messages} messages of {self.topic}"
-        return f"{told}, {_span(self.first_s, self.last_s)}" if self.messages else told
-
-
-def kept_by_topic(salvage: Salvage) -> list[TopicKept]:
-    """By topic, channels of the same one added up."""
-    out: dict[str, TopicKept] = {}
-    for definition, kept in salvage.tally.channels.items():
-        first, last = (kept.first_ns * 1e-9, kept.last_ns * 1e-9) if kept.messages else _NEVER
-        one = out.get(definition.topic, TopicKept(definition.topic, 0, *_NEVER))
-        out[definition.topic] = TopicKept(
-            definition.topic,
-            one.messages + kept.messages,
-            min(one.first_s, first),
-            max(one.last_s, last),
+    if out is not None and out.exists():
+        raise DataError(
+            f"{out} exists already, and no recording is replaced", hint="give another name: -o FILE"
         )
-    return [out[topic] for topic in sorted(out)]
+    names = names_of(Path(path), out)
+    with held(names.source) as file:
+        layout = scan(file, names.source, places=False)
+        remove_drafts(names.final)
+        if names.final != names.source and names.final.exists():
+            return _finish_an_older_one(file, names, layout, discard)
+        found = _sound(file, names, layout) if layout.complete else None
+        if found is None:
+            return _rebuilt(file, names, layout, discard, part)
+    if discard and names.kept is not None and names.kept.exists():
+        return recover_file(
+            names.kept, discard=True, part=part
+        )  # a kill came before it was deleted
+    return found
 
 
-_NEVER = (math.inf, -math.inf)
+def _finish_an_older_one(file: IO[bytes], names: Names, layout: Layout, discard: bool) -> Recovery:
+    """The whole file is there: a recovery was killed before it had set the torn one aside."""
+    require_room(names)
+    salvage = survey(file, names.source, layout)
+    try:
+        difference = tally_of(names.final).difference(salvage.tally)
+    except RecordingError as error:
+        difference = error.message
+    if difference:
+        raise DataError(
+            f"{names.final} is there beside {names.source} and holds something else: {difference}",
+            hint="move one of the two away, or give another name: -o FILE",
+        )
+    torn = set_aside(names, discard)
+    did: Did = "nothing" if torn == names.source else "rebuilt" if torn else "discarded"
+    return Recovery(names.source, did, names.final, torn, *_lost(layout, salvage), salvage)
 
 
-def _told(salvage: Salvage) -> str:
-    return ", ".join(f"{k.messages} messages of {k.topic}" for k in kept_by_topic(salvage))
+def _sound(file: IO[bytes], names: Names, layout: Layout) -> Recovery | None:
+    """A file that has its end: is all of it right? None when it is not."""
+    found = survey(file, names.source, layout)
+    counted = layout.counts is None or sum(layout.counts.values()) == found.tally.messages
+    if layout.spoilt or found.damaged or found.orphans or found.misindexed or not counted:
+        return None
+    if names.kept is None or names.source == names.final:
+        return Recovery(names.source, "nothing", names.source, salvage=found)
+    with disk_named(names):
+        os.fsync(file.fileno())  # its writer may have died before it did that
+        names.source.rename(names.final)
+        fsync_directory(names.final.parent)
+    return Recovery(names.source, "renamed", names.final, salvage=found)
 
 
-def _damage_to_dict(damage: Damage) -> dict[str, Any]:
-    return {
-        "at_byte": damage.offset,
-        "bytes": damage.length,
-        "what": damage.what,
-        "from": damage.first_ns * 1e-9 or None,
-        "to": damage.last_ns * 1e-9 or None,
+def _rebuilt(file: IO[bytes], names: Names, layout: Layout, discard: bool, part: bool) -> Recovery:
+    require_room(names)
+    draft = names.final.with_name(f".{names.final.name}.{os.getpid()}.draft")
+    try:
+        with disk_named(names):
+            salvage = _written(file, names, layout, draft, part)
+        _compare(draft, names, salvage)
+        with disk_named(names):
+            install(draft, names)
+    finally:
+        with contextlib.suppress(OSError):
+            draft.unlink(missing_ok=True)
+    torn = names.source if names.kept is None else set_aside(names, discard)
+    did: Did = "rebuilt" if salvage.tally.messages else "empty"
+    return Recovery(names.source, did, names.final, torn, *_lost(layout, salvage), salvage)
+
+
+def _lost(layout: Layout, salvage: Salvage) -> tuple[str, int]:
+    """What was wrong with a file, and how much of it lies behind the tear [bytes]."""
+    if not layout.complete:
+        return layout.problem, layout.size - layout.good_bytes
+    if salvage.damages:
+        first = salvage.damages[0]
+        return f"damaged: {first.what} at byte {first.offset}", 0
+    return layout.problem or "damaged: its index leads elsewhere than to its messages", 0
+
+
+def _written(file: IO[bytes], names: Names, layout: Layout, draft: Path, part: bool) -> Salvage:
+    note = {
+        "from": names.source.name,
+        "from_sha256": sha256_of(names.source),
+        "from_bytes": str(layout.size),
+        "whole_bytes": str(layout.good_bytes),
+        "problem": layout.problem,
+        "recovered": datetime.now(UTC).isoformat(timespec="seconds"),
+        "hil": _version(),
     }
+    with draft.open("xb") as out:
+        salvage = rebuild(file, names.source, layout, out, note)
+        empty = part and never_got_a_message(file, layout, salvage)
+        if not salvage.tally.messages and not empty:
+            raise _nothing(names.source, layout, salvage)
+        out.flush()
+        os.fsync(out.fileno())
+        # What is compared shall come from the disk, not from the kernel's memory.
+        os.posix_fadvise(out.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
+    return salvage
 
 
-def _damage_in_words(damage: Damage) -> str:
-    told = f"{damage.what} at byte {damage.offset}, {damage.length} bytes"
-    span = _span(damage.first_ns * 1e-9, damage.last_ns * 1e-9)
-    return f"{told}, by its head {span}" if damage.last_ns else told
+@cache
+def _version() -> str:
+    try:
+        return version("hil")
+    except PackageNotFoundError:
+        return ""
 
 
-def _span(first_s: float, last_s: float) -> str:
-    """From when to when, in local time where it can be one."""
-    if not 0 < first_s <= last_s < _LAST_SECOND_OF_9999:
-        return f"{first_s:.3f} s to {last_s:.3f} s"
-    first, last = (datetime.fromtimestamp(t).astimezone() for t in (first_s, last_s))
-    ends = f"{last:%H:%M:%S}" if first.date() == last.date() else f"{last:%Y-%m-%d %H:%M:%S}"
-    return f"{first:%Y-%m-%d %H:%M:%S} to {ends} ({last_s - first_s:.1f} s)"
+def _nothing(source: Path, layout: Layout, salvage: Salvage) -> DataError:
+    told = [layout.problem] if layout.problem else []
+    if salvage.damaged:
+        told.append(f"{salvage.damaged} damaged records, the first {salvage.damages[0].what}")
+    if salvage.orphans:
+        told.append(f"{salvage.orphans} messages of which nothing says what they are")
+    return DataError(
+        f"there is nothing to rescue in {source}: no message in it is whole"
+        + (f" ({'; '.join(told)})" if told else ""),
+        hint=hint_of_lost(source),
+    )
+
+
+def _compare(draft: Path, names: Names, salvage: Salvage) -> None:
+    """Refuse what does not read back as it was taken from the torn file."""
+    with draft.open("rb") as file:
+        problem = scan(file, draft, places=False).problem
+    if problem or (problem := tally_of(draft).difference(salvage.tally)):
+        raise RecordingError(
+            f"what was written for {names.final} reads back different: {problem}",
+            hint="the disk may be failing: recover to another one with -o FILE; "
+            f"{names.source} is as it was",
+        )

@@ -15,8 +15,8 @@ import numpy as np
 from hil.core import FloatArray
 from hil.excitation.optimiser.linear_limits import LinearLimits
 from hil.excitation.optimiser.motion_limits import TOLERATED, MotionLimits
+from hil.excitation.optimiser.objective import ValueOf
 from hil.excitation.optimiser.program import ALLOWED, Point, Proposal, StepProgram
-from hil.excitation.optimiser.value import ValueOf
 
 ARMIJO = 1e-4
 SHORTEST = 1e-3

@@ -14,8 +14,8 @@ import numpy as np
 from hil.core import FloatArray, IntArray
 from hil.excitation.optimiser.linear_limits import LinearLimits, peaks
 from hil.excitation.optimiser.motion_limits import MotionLimits
+from hil.excitation.optimiser.objective import Value
 from hil.excitation.optimiser.quadratic import Step, damped_update, solve_step
-from hil.excitation.optimiser.value import Value
 
 NEAR = 0.1
 """Share of a limit below which a row is handed to the solver from the first."""

@@ -13,9 +13,9 @@ from hil.excitation.optimiser.improve import Search
 from hil.excitation.optimiser.linear_limits import LinearLimits
 from hil.excitation.optimiser.margins import DENSER, margins_of
 from hil.excitation.optimiser.motion_limits import RESERVE, MotionLimits
+from hil.excitation.optimiser.objective import ValueOf
 from hil.excitation.optimiser.problem import ExcitationProblem
 from hil.excitation.optimiser.result import Optimised, Progress, ProgressCallback, Start
-from hil.excitation.optimiser.value import ValueOf
 
 ROUNDS = 5
 """More of the last stage, while what it finds exceeds limits between the points."""
