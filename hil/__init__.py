@@ -12,6 +12,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from hil.core import CARDS
+
 if TYPE_CHECKING:
     from hil.api import (
         dataset,
@@ -36,6 +38,16 @@ if TYPE_CHECKING:
     from hil.runs import find_runs
 
 __version__ = "0.1.0"
+
+
+def _plan_card(plan: Any) -> str:
+    """Draw the card of a plan: planning stands below the report, which draws its picture."""
+    from hil.report import plan_card
+
+    return plan_card(plan)
+
+
+CARDS["Plan"] = _plan_card
 
 __all__ = [
     "Experiment",

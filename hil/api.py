@@ -138,7 +138,6 @@ def plan(experiment: Experiment, *, connect: bool = False) -> Plan:
         PlanError: No safe plan follows from the spec.
         RobotError: The robot cannot be asked where it stands, or another process holds it.
     """
-    from hil.report import plan_card  # noqa: F401  the card of a plan in a notebook has its picture
     from hil.workflow import planned
 
     with planned(_loaded(experiment), connect=connect) as (_, made, _):

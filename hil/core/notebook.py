@@ -30,8 +30,8 @@ DARK = {
 
 MOST_ROWS = 12
 
-CARDS: dict[type, Callable[[Any], str]] = {}
-"""Cards that a later package draws: the picture of a plan is drawn by the report."""
+CARDS: dict[str, Callable[[Any], str]] = {}
+"""Cards by class name that a later package draws; `hil` itself registers them."""
 
 
 def card(

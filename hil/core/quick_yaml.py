@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from hil.core.yaml_extent import Extent
-
 DEEPEST = 100
 """Levels of nesting, with those behind aliases: a compiled loader has no other end than a crash."""
 
@@ -37,6 +35,8 @@ def require_bounded(text: str | bytes) -> None:
         ValueError: It is not YAML, not UTF-8, nested too deeply, or blown up by aliases.
     """
     import yaml
+
+    from hil.core.yaml_extent import Extent
 
     extent, loader = Extent(len(text), DEEPEST), getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     try:

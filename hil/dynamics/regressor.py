@@ -26,7 +26,6 @@ import pinocchio as pin
 
 from hil.core import DataError, FloatArray, IntArray
 from hil.dynamics.chain import Chain
-from hil.dynamics.compiled import fill_regressor
 from hil.dynamics.inertial import PARAMETERS
 
 BODY = len(PARAMETERS)
@@ -65,6 +64,8 @@ class Regressor:
         """(N·n, k) for motions (N, n), sample-major."""
         out = np.zeros((len(q), q.shape[1], len(self.columns)))
         if compiles(len(q)):
+            from hil.dynamics.compiled import fill_regressor
+
             fill_regressor(self._chain, q, qd, qdd, self._first, self._kinds, out)
         else:
             self._loop(q, qd, qdd, out)

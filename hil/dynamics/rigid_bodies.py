@@ -13,7 +13,6 @@ from hil.arms import Payload
 from hil.core import DataError, FloatArray, IntArray
 from hil.dynamics.build import JointGeometry, joint_geometry, pose_of
 from hil.dynamics.chain import Chain
-from hil.dynamics.compiled_torques import fill_torques
 from hil.dynamics.inertial import PARAMETERS, payload_parameters, transfer_matrix
 from hil.dynamics.momentum import momentum
 from hil.dynamics.regressor import Regressor, compiles
@@ -75,6 +74,8 @@ class RigidBodies:
         return (self.regressor(*rows) @ parameters).reshape(rows[0].shape)
 
     def _recursion(self, parameters: FloatArray, *rows: FloatArray) -> FloatArray:
+        from hil.dynamics.compiled_torques import fill_torques
+
         q, qd, qdd = rows
         bodies, rotors = np.split(parameters, [len(PARAMETERS) * self.n])
         out = np.empty(q.shape)

@@ -14,7 +14,7 @@ from hil.excitation.workspace import Workspace
 
 @dataclass(frozen=True, slots=True)
 class Action:
-    """A step of a plan that does not know its number and load yet (see `hil.plan.Step`)."""
+    """A step of a plan that does not know its number and load yet (see `hil.planning.Step`)."""
 
     kind: Literal["warmup", "move", "dwell", "trajectory", "reference", "weigh"]
     motion: Motion

@@ -64,7 +64,7 @@ def program_of(model: RobotEstimator) -> Program:
     if isinstance(model, StaticModel):
         raise NotExported(
             f"{model.estimator} says what an arm needs at rest, a program what it needs in motion",
-            hint="guide by hand with hil.control.hand_guiding.HandGuiding, which takes this model "
+            hint="guide by hand with hil.control.HandGuiding, which takes this model "
             "as it is; take its parameters with --to json; or fit rigid-hysteresis to trajectories",
         )
     raise NotExported(

@@ -142,8 +142,8 @@ class Plan:
         return f"<Plan {self.name} for {self.robot_model}: {told}>"
 
     def _repr_html_(self) -> str:
-        """Card for a notebook; with its picture where `hil.report` is loaded, as by `hil.plan`."""
-        if drawn := CARDS.get(Plan):
+        """Return the card for a notebook, with the picture that `hil.report` draws."""
+        if drawn := CARDS.get("Plan"):
             return drawn(self)
         facts = {"robot": self.robot_model, "takes": f"{self.duration_s:.0f} s"}
         return card("Plan", self.name, facts | {"hash": self.hash[:12]})

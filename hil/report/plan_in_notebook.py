@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from hil.core import CARDS, card, number
+from hil.core import card, number
 from hil.planning import Plan, preview
 from hil.report.plan_figure import picture_of
 
@@ -26,6 +26,3 @@ def plan_card(plan: Plan) -> str:
         "hash": plan.hash[:12],
     }
     return card("Plan", plan.name, facts, picture=picture_of(plan), notes=told.warnings)
-
-
-CARDS[Plan] = plan_card

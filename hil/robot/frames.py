@@ -104,7 +104,7 @@ def dtype_text(dtype: np.dtype[Any]) -> str:
     if not _is(text, dtype):
         raise RobotConnectionError(
             f"rows of {dtype} cannot be sent from a driver's process",
-            hint="use a packed record of numbers, see hil.recording.Topic",
+            hint="use a packed record of numbers, see hil.robot.Topic",
         )
     return text
 

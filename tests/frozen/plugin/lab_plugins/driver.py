@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from hil.arms import Payload, load_arm
-from hil.core.errors import CommandRefused, RobotConnectionError, SpecError
+from hil.core import CommandRefused, RobotConnectionError, SpecError
 from hil.robot import Capabilities, Identity, Limits, Segment, Status, state_dtype
 
 BLOCK = 16

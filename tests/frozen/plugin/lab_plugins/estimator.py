@@ -6,7 +6,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from hil.core.errors import FitError
+from hil.core import FitError
 from hil.data import Dataset, Prediction, Stream
 from hil.estimators import RobotEstimator
 

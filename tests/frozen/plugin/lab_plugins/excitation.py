@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.excitation.roadmap import Roadmap
-from hil.excitation.visit import Program, pose_visit
+from hil.excitation import Program, Roadmap, pose_visit
 
 
 class Nudge:

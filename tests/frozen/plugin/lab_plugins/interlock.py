@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.engine.interlocks import Trip
+from hil.engine import Trip
 
 
 class Power:
