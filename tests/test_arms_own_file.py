@@ -12,6 +12,8 @@ from hil.arms import model_sha256, require_same_arm
 from hil.arms.description import _parsed
 from hil.core.errors import DataError
 
+pytestmark = pytest.mark.quick
+
 URDF = Path(__file__).with_name("own_arm.urdf")
 
 

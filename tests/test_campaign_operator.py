@@ -37,6 +37,8 @@ from hil.workflow.operator import (
     require_attended,
 )
 
+pytestmark = pytest.mark.quick
+
 MOUNT = "Mount the 3 kg disc"
 
 

@@ -109,6 +109,7 @@ def torn(run: Path, keep: float) -> None:
     partial.write_bytes(data[: int(keep * len(data))])
 
 
+@pytest.mark.quick
 def test_a_stopped_run_goes_on_and_is_judged(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

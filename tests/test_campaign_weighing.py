@@ -71,6 +71,7 @@ def test_one_kilogram_instead_of_three_is_found_and_named(profile: str) -> None:
     assert light.events[-1]["weighed_kg"] == pytest.approx(1.0, abs=0.2)
 
 
+@pytest.mark.quick
 def test_nothing_is_measured_under_a_load_that_failed() -> None:
     plan = cylinder()
     found = weigh(plan, lambda load: Payload(), seed=1)

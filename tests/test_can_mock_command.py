@@ -20,6 +20,8 @@ from hil_mock_robot.cia402.bus import end_of
 from hil_mock_robot.cia402.ends import HubEnd, side_path
 from hil_mock_robot.cia402.options import mounted_in, nodes_of, parser_of, pose_of
 
+pytestmark = pytest.mark.quick
+
 ARM = load_arm("lab6")
 
 

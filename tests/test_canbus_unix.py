@@ -21,6 +21,8 @@ from hil.can.hub import Hub
 from hil.can.hub_thread import HostedHub, hub_thread
 from hil.can.unix import UnixBus
 
+pytestmark = pytest.mark.quick
+
 
 @pytest.fixture
 def pair(bus_hub: HostedHub) -> Iterator[tuple[can.BusABC, can.BusABC]]:  # noqa: F811

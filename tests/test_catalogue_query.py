@@ -17,6 +17,8 @@ from hil.core.errors import SpecError
 from hil.runs.query import parse
 from hil.runs.view import find_runs
 
+pytestmark = pytest.mark.quick
+
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:

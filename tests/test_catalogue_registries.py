@@ -19,6 +19,8 @@ from hil.models.facts import facts_of
 from hil.models.pointers import FILE, leave_pointer, pointed
 from hil.models.registry import Registry
 
+pytestmark = pytest.mark.quick
+
 
 @pytest.fixture(autouse=True)
 def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

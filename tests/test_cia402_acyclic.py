@@ -16,6 +16,8 @@ from hil_drivers.cia402.objects import Entry
 from hil_mock_robot.cia402.contracts import key
 from hil_mock_robot.cia402.eds import eds_of
 
+pytestmark = pytest.mark.quick
+
 NOT_VALID = 1 << 31
 
 

@@ -338,6 +338,7 @@ def test_commands_before_open_say_what_to_do(station: Station) -> None:
         station.core.run()
 
 
+@pytest.mark.quick
 def test_records_of_an_arm_at_rest_may_be_forgotten() -> None:
     station = Station(kept_s=0.3)
     station.core._free = False  # does not wait for the reader

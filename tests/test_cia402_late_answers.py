@@ -14,6 +14,8 @@ from hil_drivers.cia402.debts import CONFIRMED
 from hil_drivers.cia402.judging import Judge
 from hil_drivers.cia402.mapping import MINIMAL
 
+pytestmark = pytest.mark.quick
+
 NODES = (1, 2)
 PERIOD_S = 0.004
 USUAL_S = 2e-4

@@ -18,6 +18,8 @@ from hil_drivers.cia402.masters import require_no_master
 from hil_drivers.cia402.options import Options, options_of
 from hil_drivers.cia402.ports import PythonCanPort
 
+pytestmark = pytest.mark.quick
+
 NODES, MASTER = (3, 7), 127
 ENABLE = b"\x0f\x00\x08\x00\x00\x00\x00"
 _numbers = itertools.count(1)

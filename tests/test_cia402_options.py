@@ -12,6 +12,8 @@ from hil_drivers.cia402.bus_log import BusLog
 from hil_drivers.cia402.bus_options import SIMULATED
 from hil_drivers.cia402.options import options_of
 
+pytestmark = pytest.mark.quick
+
 BUS = {"interface": "hil_unix", "channel": "can7"}
 REAL = {"interface": "socketcan", "channel": "can0"}
 

@@ -11,6 +11,8 @@ from hil_drivers.cia402.contracts import Inputs, Outputs
 from hil_drivers.cia402.control import FADE_S, Gains
 from hil_drivers.cia402.player import HOLDING, MOVING, Player, Track
 
+pytestmark = pytest.mark.quick
+
 CSV = 9
 N = 2
 RAD = 1e-6

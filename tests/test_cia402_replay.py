@@ -83,6 +83,7 @@ def test_an_emergency_is_the_fault_of_the_records_until_it_is_over() -> None:
     assert found["fault_code"].tolist() == [0, 0x8611, 0]
 
 
+@pytest.mark.quick
 def test_a_log_of_something_else_is_told(tmp_path: Path) -> None:
     log = tmp_path / "other.log"
     log.write_text("(1.000000) can0 701#05\n")

@@ -24,6 +24,8 @@ from hil_drivers.cia402.torque_model import TorqueModel
 from hil_drivers.cia402.tracks import track_of
 from hil_drivers.cia402.trouble import Trouble
 
+pytestmark = pytest.mark.quick
+
 ARM = load_arm("lab6")
 PROFILES = [AxisProfile(1 << 20, float(gear), 2.0, 1.0) for gear in ARM.gear_ratio]
 SCALING = Scaling(PROFILES)

@@ -284,6 +284,7 @@ def test_a_declared_load_is_felt_by_the_drives(free_axes) -> None:
     assert np.abs(after - before)[1:3].max() > 10.0
 
 
+@pytest.mark.quick
 def test_rows_have_temperatures_and_every_integer_is_recorded(free_axes) -> None:
     axes = free_axes
     rows = follow(axes, move(axes, 0.1))

@@ -16,6 +16,8 @@ from hil_drivers.cia402.states import (
     told_by,
 )
 
+pytestmark = pytest.mark.quick
+
 # CiA 402-2, statusword bits 6 5 3 2 1 0, x for "whatever"; written out, not computed.
 PATTERNS = {
     "0x0000": State.NOT_READY,

@@ -13,6 +13,8 @@ from hil_drivers.cia402.supervisor import Phase
 from hil_drivers.cia402.torque_check import Weighed
 from hil_drivers.cia402.tracking import LATENCY, Tracking
 
+pytestmark = pytest.mark.quick
+
 RAD = 1e-6
 BOUNDS = {CSP: (4.0, "2 × following_error_deg"), CST: (10.0, "tracking_deg")}
 N = 2

@@ -15,6 +15,8 @@ from hil.robot import Status
 from hil_drivers.cia402.trouble import Trouble
 from hil_mock_robot.cia402.contracts import key
 
+pytestmark = pytest.mark.quick
+
 ROWS = np.array([(0,)], dtype=[("status", "<u2")])
 
 

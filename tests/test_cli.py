@@ -117,6 +117,7 @@ def test_plan_for_humans_fits_a_narrow_terminal(tmp_path: Path) -> None:
     assert max(map(len, done.stdout.splitlines()[1:])) <= 60
 
 
+@pytest.mark.quick
 def test_run_keeps_its_contract(done_run: dict[str, Any]) -> None:
     assert set(done_run) == {
         "run", "uid", "outcome", "verdict", "samples", "gaps", "duplicates", "models", "report",

@@ -9,6 +9,8 @@ from hil.cli.excitation_line import ExcitationLine
 from hil.cli.progress import ProgressLines
 from hil.excitation.setting import Advance
 
+pytestmark = pytest.mark.quick
+
 BUSY = Advance(3, 12, 2, 3, 17.25, 125.0)
 
 

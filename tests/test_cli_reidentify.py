@@ -20,6 +20,7 @@ from hil.maintenance.schedule.ledger import kept
 from hil.maintenance.schedule.occasion import Occasion
 
 
+@pytest.mark.quick
 def test_it_is_done_once_and_gone_on_with_where_it_was_cut_off(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

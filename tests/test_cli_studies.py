@@ -49,6 +49,7 @@ class Terminal(io.StringIO):
         return True
 
 
+@pytest.mark.quick
 def test_sentences_and_tables_are_printed_and_the_page_is_written(run: Path) -> None:
     done = CliRunner().invoke(app, ["study", str(run)])
     assert done.exit_code == 0, done.output

@@ -5,6 +5,8 @@ from synthetic_motion import dataset, dwelling
 from hil.data import Conditions, rows_of
 from hil.data.dwells import DwellRule, dwells_of, find_dwells, series_means
 
+pytestmark = pytest.mark.quick
+
 RATE = 125.0
 
 

@@ -24,6 +24,8 @@ from hil.importers.exporting import export_data
 from hil.importers.load import load_source
 from hil.planning.plan import LoadStep
 
+pytestmark = pytest.mark.quick
+
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -10,6 +10,8 @@ from hil.core.errors import DataError
 from hil.importers import ImportMap, import_file
 from hil.importers.load import load_source
 
+pytestmark = pytest.mark.quick
+
 ROWS = 40
 T = np.arange(ROWS) * 0.004
 Q = np.column_stack([np.sin(T), np.cos(T), T])

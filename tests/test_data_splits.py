@@ -9,6 +9,8 @@ from hil.data import Conditions, Dataset
 from hil.data.fingerprints import SKETCH_ROWS, Sketch, revisited
 from hil.data.splits import assert_disjoint, groups, kfold, paper_sample_split, split
 
+pytestmark = pytest.mark.quick
+
 
 def of_conditions(conditions):
     """Two rows per series, all rows different."""

@@ -152,6 +152,7 @@ def test_limits_are_kept() -> None:
     assert best.fail.outcome == "falls"
 
 
+@pytest.mark.quick
 def test_free_joints_stay_where_they_are_wanted() -> None:
     found = rest_poses(pendulum(joints=2), near=np.array([0.1, 1.25]))
     assert all(pose.q[1] == pytest.approx(1.25) for pose in found)

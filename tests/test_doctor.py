@@ -19,6 +19,8 @@ from hil.cli.app import app
 from hil.doctor import Finding, can, clock, examine, machine, packages, permissions, ports, robots
 from hil_drivers.ur import reach
 
+pytestmark = pytest.mark.quick
+
 
 def level_of(findings: Iterator[Finding]) -> str:
     return max((one.level for one in findings), key=["ok", "note", "bad"].index)

@@ -7,6 +7,8 @@ from dynamics_arms import motion
 from hil.arms.payload import Payload
 from hil.dynamics import RobotModel, base_parameters
 
+pytestmark = pytest.mark.quick
+
 LOAD = Payload(3.0, (0.02, -0.05, 0.08), (0.01, 0.012, 0.008, 0.001, 0.0, -0.002))
 STEP = 1e-6
 SLIDING = """<robot name="gantry">

@@ -10,6 +10,8 @@ from hil.arms import arm_names
 from hil.core.errors import DataError
 from hil.dynamics import RobotModel, base_parameters
 
+pytestmark = pytest.mark.quick
+
 SAMPLES = 203
 
 URDF = """<robot name="odd"><link name="base"/>

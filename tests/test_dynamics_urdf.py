@@ -8,6 +8,8 @@ from hil.arms.payload import Payload
 from hil.core.errors import SpecError
 from hil.dynamics import CollisionModel, RobotModel, load_model
 
+pytestmark = pytest.mark.quick
+
 LOAD = Payload(2.0, (0.01, 0.02, 0.05), (0.01, 0.012, 0.009, 0.0, 0.0, 0.0))
 
 FINGER = (

@@ -21,6 +21,8 @@ from hil.engine.states import IllegalTransition, StateMachine
 from hil.robot import Robot
 from hil.spec.experiment import SpeedInterlock, TemperatureInterlock, TrackingErrorInterlock
 
+pytestmark = pytest.mark.quick
+
 
 def test_the_test_robot_is_a_robot() -> None:
     robot = KinematicRobot()

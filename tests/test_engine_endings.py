@@ -26,6 +26,8 @@ from hil.excitation.motion import Hold
 from hil.planning.plan import LoadStep, Plan, Step
 from hil.robot import Status
 
+pytestmark = pytest.mark.quick
+
 
 def test_a_dwell_waits_until_ten_samples_are_at_rest() -> None:
     def restless(block: StructArray) -> None:

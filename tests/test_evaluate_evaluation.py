@@ -12,6 +12,8 @@ from hil.core.errors import SpecError
 from hil.data import Dataset, Prediction
 from hil.evaluation import Criterion, evaluate, judge
 
+pytestmark = pytest.mark.quick
+
 
 @dataclass
 class Oracle:

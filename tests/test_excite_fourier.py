@@ -20,6 +20,8 @@ from hil.excitation.roadmap import Roadmap
 from hil.excitation.workspace import Workspace
 from hil.spec.experiment import Fourier
 
+pytestmark = pytest.mark.quick
+
 RATE = 100.0
 CLEAR = toy_workspace()
 CLEAR_ROADMAP = Roadmap(CLEAR, roomy_poses(CLEAR, 16, seed=0))

@@ -129,6 +129,7 @@ def both(report: ExcitationReport) -> tuple[Any, Any]:
     return report.appraisal, report.random
 
 
+@pytest.mark.quick
 def test_the_table_says_where_they_come_from_and_fits_a_narrow_terminal(
     optimised: Path, report: ExcitationReport, tmp_path: Path
 ) -> None:
@@ -165,6 +166,7 @@ def test_the_page_shows_every_trajectory_under_its_limits(report: ExcitationRepo
             assert "limit" in [trace["name"] for trace in panel.figure["data"]]
 
 
+@pytest.mark.quick
 def test_the_page_says_when_a_limit_is_exceeded(report: ExcitationReport) -> None:
     limits = report.appraisal.limits._replace(velocity=0.5 * report.appraisal.limits.velocity)
     page = excitation_page(replace(report, appraisal=replace(report.appraisal, limits=limits)))

@@ -9,6 +9,8 @@ import pytest
 
 from hil.core.executor import BLAS_VARIABLES, cores, processes
 
+pytestmark = pytest.mark.quick
+
 
 def test_workers_are_spawned_processes_with_one_blas_thread_each(
     monkeypatch: pytest.MonkeyPatch,

@@ -77,6 +77,7 @@ def test_it_does_nothing_undefined(models, tmp_path) -> None:
     assert "largest difference" in self_tested(told.out, program)
 
 
+@pytest.mark.quick
 @needs_compiler
 def test_the_self_test_fails_for_another_model(models, tmp_path) -> None:
     told = export_c(models("rigid-wls"), tmp_path / "out")
@@ -103,6 +104,7 @@ def test_numbers_come_back_to_the_same_bits() -> None:
         number(float("nan"))
 
 
+@pytest.mark.quick
 def test_symbols_carry_the_prefix(models) -> None:
     source = c_source(program_of(models("rigid-wls")), "left_arm")
     for text in (source.header, source.source):

@@ -57,6 +57,7 @@ def test_every_kind_is_cpp_as_well(kind, tmp_path) -> None:
     assert refused(source_of(kind), tmp_path, "g++", *strict) == ""
 
 
+@pytest.mark.quick
 @pytest.mark.parametrize("kind", MATH_H)
 def test_docs_name_the_functions_of_math_h_that_it_calls(kind) -> None:
     words = "(?:sin|cos|tan|tanh|exp|log|log1p|sqrt|pow|floor|copysign|fabs)f?"

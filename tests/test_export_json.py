@@ -92,6 +92,7 @@ def test_a_document_tells_every_parameter_with_unit_and_certainty_or_why_not(kin
         assert set(physics.parameter_names_) <= named.keys()
 
 
+@pytest.mark.quick
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_key_of_a_document_is_on_the_page(kind: str) -> None:
     missing = {key for key in keys_of(told(kind)) if f"`{key}`" not in PAGE}
@@ -104,6 +105,7 @@ def test_intervals_are_those_of_the_model() -> None:
     assert np.array_equal(found, model.interval(0.95))
 
 
+@pytest.mark.quick
 @pytest.mark.parametrize(
     ("kind", "names", "reason"),
     [

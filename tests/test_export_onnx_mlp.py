@@ -15,6 +15,8 @@ from hil.export import mlp_export
 from hil.export.mlp_export import export_onnx_mlp, onnxruntime_says
 from hil.export.mlp_nets import Chain, chain_of
 
+pytestmark = pytest.mark.quick
+
 onnx = pytest.importorskip("onnx", reason="onnx is not installed")
 pytest.importorskip("onnxruntime", reason="onnxruntime is not installed")
 

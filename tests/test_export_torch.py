@@ -64,6 +64,7 @@ def test_a_network_says_what_its_stream_says(kind) -> None:
     assert np.array(found) == pytest.approx(expected, abs=1e-5 * np.abs(expected).max())
 
 
+@pytest.mark.quick
 def test_physics_and_network_together() -> None:
     traced, golden = module_of(fitted("residual")), golden_of(fitted("residual"), samples=60)
     assert largest_difference(stepping(traced.module), golden, traced.state_size) < 1e-6

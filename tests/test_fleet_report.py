@@ -78,6 +78,7 @@ def test_a_worn_joint_stands_out_by_its_change_though_not_by_its_friction(survey
     assert "change of friction of J2 +3" in out["ur5-011"] or "+2" in out["ur5-011"]
 
 
+@pytest.mark.quick
 def test_the_page_says_who_is_to_be_looked_at_and_loads_nothing(survey: Survey) -> None:
     page = Page(page_html(fleet_page(survey)))
     assert not [url for url in page.loads if url.startswith(("http", "//"))]
@@ -89,6 +90,7 @@ def test_the_page_says_who_is_to_be_looked_at_and_loads_nothing(survey: Survey) 
     assert "1 are not" in page.text
 
 
+@pytest.mark.quick
 def test_what_has_no_model_is_told_and_not_compared(survey: Survey) -> None:
     none = np.empty(0)
     bare = replace(

@@ -11,6 +11,8 @@ from hil.estimators.gain_lines import calibrated, gain_lines
 from hil.estimators.rigid import RigidWls
 from hil.evaluation.load_fit import usual_gain_share
 
+pytestmark = pytest.mark.quick
+
 
 def fitted(source: str, kind: str = "current") -> RobotEstimator:
     model = RigidWls().fit(moving(1, 2, kind=kind), nominal())

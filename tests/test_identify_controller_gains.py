@@ -19,6 +19,8 @@ from hil.estimators.gains_without_load import controller_gains
 from hil.importers import import_file
 from hil.importers.load import load_source
 
+pytestmark = pytest.mark.quick
+
 BELIEVED = 1.1 * GAINS
 
 

@@ -13,6 +13,8 @@ from hil.data import Dataset
 from hil.estimators.gains import Gains, calibrate_gains
 from hil.estimators.motor import torque_of
 
+pytestmark = pytest.mark.quick
+
 BESIDE = Payload(3.0, (0.05, 0.0, 0.05))
 ON_AXIS = Payload(3.0, (0.0, 0.0, 0.05))
 

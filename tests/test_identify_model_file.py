@@ -12,6 +12,8 @@ from hil.estimators import estimator, load_model_file, save_model
 from hil.estimators.rigid import RigidWls
 from hil.estimators.static import StaticWls
 
+pytestmark = pytest.mark.quick
+
 
 @pytest.fixture(scope="module")
 def rigid():

@@ -17,6 +17,8 @@ from hil.estimators.payload_rest import estimate_payload_at_rest
 from hil.estimators.rigid import RigidWls
 from hil.estimators.static import StaticWls
 
+pytestmark = pytest.mark.quick
+
 FRICTION_NM = 4.0
 ON_AXIS = replace(LOAD, com=(0.0, 0.0, 0.06))
 

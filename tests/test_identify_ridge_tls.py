@@ -9,6 +9,8 @@ from hil.core.errors import FitError
 from hil.estimators.ridge import GRID, left_out_ridge, ridge
 from hil.estimators.total_least_squares import rough, total_least_squares
 
+pytestmark = pytest.mark.quick
+
 
 def problem(seed=0, N=120):
     random = np.random.default_rng(seed)

@@ -28,6 +28,8 @@ from hil.dynamics import base_parameters
 from hil.estimators import estimator, load_model_file
 from hil.estimators.rigid import RigidWls
 
+pytestmark = pytest.mark.quick
+
 TRAIN = (1, 2, 3)
 NOISE_A = 0.05
 

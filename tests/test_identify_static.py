@@ -11,6 +11,8 @@ from hil.data import Conditions, Dataset
 from hil.estimators.gravity import paper_functions
 from hil.estimators.static import StaticWls
 
+pytestmark = pytest.mark.quick
+
 POSES = np.random.default_rng(9).uniform(-2.5, 2.5, (200, 6))
 
 

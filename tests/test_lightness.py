@@ -23,6 +23,7 @@ def loaded_after(code: str) -> set[str]:
     return {name.split(".")[0] for name in done.stderr.split()}
 
 
+@pytest.mark.quick
 @pytest.mark.parametrize(
     "code",
     [

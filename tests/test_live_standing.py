@@ -10,6 +10,8 @@ import pytest
 from hil.engine.live.standing import Standing
 from hil.engine.live.words import DEBUG, ERROR, INFO, WARNING, words_of
 
+pytestmark = pytest.mark.quick
+
 
 def standing(*events: dict[str, Any]) -> Standing:
     out = Standing()

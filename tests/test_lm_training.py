@@ -357,6 +357,7 @@ def test_damping_that_cannot_be_is_refused() -> None:
         Damping(fall=1.0)
 
 
+@pytest.mark.quick
 def test_torch_takes_the_same_steps() -> None:
     pytest.importorskip("torch", reason="torch is not installed")
     X, Y = surface(60, noise=0.1)

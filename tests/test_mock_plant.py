@@ -11,6 +11,8 @@ from hil_mock_robot.draw import draw_truth
 from hil_mock_robot.mounting import MOUNTS, gravity_of
 from hil_mock_robot.plant import build_plant
 
+pytestmark = pytest.mark.quick
+
 LOAD = Payload(2.5, (0.02, -0.01, 0.06), (0.01, 0.012, 0.008, 0.001, -0.0005, 0.0002))
 
 

@@ -24,6 +24,8 @@ from hil.models.version import ModelVersion
 from hil.studies.result import StudyResult, Table
 from hil.workflow.run_report import RunReport
 
+pytestmark = pytest.mark.quick
+
 ROOT = Path(__file__).parents[1]
 NASTY = "<script>alert('1')</script>&"
 STYLE_SHEET = (ROOT / "hil" / "report" / "report.css").read_text("utf-8")

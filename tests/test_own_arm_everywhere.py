@@ -108,6 +108,7 @@ def test_a_verb_that_uses_the_arm_asks_for_the_one_that_was_recorded(verb: str, 
     assert TOLD in said
 
 
+@pytest.mark.quick
 def test_so_does_the_api(lab: Path) -> None:
     for asked in (
         lambda: hil.dataset("RUN"),

@@ -12,6 +12,8 @@ import pytest
 from hil.core.errors import DataError, RecordingError
 from hil.maintenance.pipeline.stages import FOLDER, Document, Stage, kept_document, run_stages
 
+pytestmark = pytest.mark.quick
+
 
 class Work:
     """Three stages, one after the other; notes which of them are done."""

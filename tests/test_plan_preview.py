@@ -19,6 +19,8 @@ from hil.report.plan_figure import plan_picture
 from hil.report.svg import Scale, thinned
 from hil.robot.topic import state_topic
 
+pytestmark = pytest.mark.quick
+
 NAMES = tuple(f"shoulder_{i}_joint" for i in range(6))
 SVG = "{http://www.w3.org/2000/svg}"
 

@@ -11,6 +11,8 @@ import pytest
 from hil.core import plugins
 from hil.core.errors import PluginError
 
+pytestmark = pytest.mark.quick
+
 DRIVERS = "hil.drivers"
 
 

@@ -34,6 +34,8 @@ from hil.excitation.motion import Hold, Line
 from hil.planning.plan import LoadStep, Plan, Step
 from hil.robot import Capabilities, Finding, HasChecks, Identity, Limits, Status
 
+pytestmark = pytest.mark.quick
+
 NAMES = tuple(f"j{i + 1}" for i in range(6))
 NOW = 1.9e9
 FACTS = ("rate_hz", "joint_names", "clock", "effort_kind")

@@ -17,6 +17,8 @@ from hil.recording import Attachment, McapWriter, read_info, read_topic
 from hil.robot.cdr import CDR_HEADER
 from hil.robot.topic import STATE_TOPIC
 
+pytestmark = pytest.mark.quick
+
 
 def foreign_recording(
     path: Path, fill: Callable[[Writer], None] | None = None, **options: Any

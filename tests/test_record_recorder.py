@@ -18,6 +18,8 @@ from hil.core.typing import StructArray
 from hil.recording import McapWriter, Recorder, read_info, read_topic
 from hil.robot.topic import STATE_TOPIC, Topic
 
+pytestmark = pytest.mark.quick
+
 
 class SlowDisk(McapWriter):
     """A writer that waits for permission before it writes."""

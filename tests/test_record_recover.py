@@ -74,6 +74,7 @@ def messages_of(path: Path) -> Iterator[tuple[str, int, int, int, bytes]]:
             yield channel.topic, m.sequence, m.log_time, m.publish_time, m.data
 
 
+@pytest.mark.quick
 def test_recovered_file_is_whole_and_has_the_rows_that_salvage_reads(torn: Path) -> None:
     salvaged = read_topic(torn, salvage=True)
     recovery = recover_file(torn)
@@ -426,6 +427,7 @@ def a_run(root: Path, files: dict[str, bytes]) -> Path:
     return run.path
 
 
+@pytest.mark.quick
 def test_every_torn_recording_of_a_run_is_recovered_and_logged(
     tmp_path: Path, whole: tuple[StructArray, bytes]
 ) -> None:

@@ -50,6 +50,7 @@ def streams_of(pdf: bytes) -> bytes:
     return b"".join(zlib.decompress(each) for each in found if each[:1] == b"\x78")
 
 
+@pytest.mark.quick
 def test_every_figure_and_table_becomes_files_named_by_its_key(run: Path, tmp_path: Path) -> None:
     written = hil.figures(run, tmp_path / "out", formats=("pdf", "png", "svg"))
     names = {"table-2.csv", "table-2.tex", "contents.md"}

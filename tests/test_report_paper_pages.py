@@ -129,6 +129,7 @@ def test_dates_are_told_over_any_span(days: float) -> None:
     assert "xtick_2" in drawn_plots([PagePanel("", figure, False)], "svg").decode()
 
 
+@pytest.mark.quick
 def test_powers_and_names_are_no_tex(page: Path) -> None:
     text = drawn_plots([read(page, "dates and powers")], "svg").decode()
     assert re.search(r"<!-- 10⁻[⁰-⁹] -->", text)

@@ -11,6 +11,8 @@ from hil.core.errors import DataError, SpecError
 from hil.networks.residual.ring import RingTcn
 from hil.networks.residual.trained import TrainedTcn
 
+pytestmark = pytest.mark.quick
+
 torch = pytest.importorskip("torch", reason="torch is not installed")
 
 KINDS = [

@@ -48,6 +48,7 @@ def other_arm_in_its_own_process() -> Robot:
 ALWAYS = len(BEFORE_AND_AFTER) + len(CONNECTED) + len(BENCH)
 
 
+@pytest.mark.quick
 @pytest.mark.parametrize(
     "make_robot", [KinematicRobot, embedded_mock, kinematic_in_its_own_process]
 )

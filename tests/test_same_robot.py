@@ -19,6 +19,8 @@ from hil.estimators.rigid import RigidWls
 from hil.evaluation import evaluate
 from hil.evaluation.validation_load import under_load
 
+pytestmark = pytest.mark.quick
+
 ARM = """<robot name="arm">
 <link name="base"/><link name="upper"/><link name="lower"/>
 <joint name="a" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 0 1"/>

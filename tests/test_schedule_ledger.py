@@ -13,6 +13,8 @@ from hil.core.errors import DataError, RecordingError
 from hil.maintenance.schedule.ledger import LEDGER_FILE, Ledger, kept, occasion_of
 from hil.maintenance.schedule.occasion import Occasion
 
+pytestmark = pytest.mark.quick
+
 
 def three_lines(folder: Path) -> Path:
     with kept(folder, "nightly") as ledger:

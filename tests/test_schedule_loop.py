@@ -27,6 +27,8 @@ from hil.core.errors import FitError, RobotConnectionError, Stopped
 from hil.maintenance.schedule.ledger import Ledger, kept
 from hil.maintenance.schedule.loop import Interruption
 
+pytestmark = pytest.mark.quick
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 

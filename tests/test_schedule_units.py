@@ -15,6 +15,8 @@ from hil.core.errors import RecordingError, SpecError
 from hil.maintenance.schedule.notify import Command
 from hil.maintenance.schedule.systemd import next_words, units_of, write_units
 
+pytestmark = pytest.mark.quick
+
 ANALYZE = shutil.which("systemd-analyze")
 ODD = 'a b/100 % of "$HOME"\\x/nightly.yaml'
 

@@ -189,6 +189,7 @@ def test_a_series_on_the_command_line(pair: Path, tmp_path: Path) -> None:
     assert CliRunner().invoke(app, ["report", told["series"]]).exit_code == 0
 
 
+@pytest.mark.quick
 def test_what_is_left_of_a_slow_series_is_run_as_slowly(series: Series, tmp_path: Path) -> None:
     slow = Commissioning(speed=0.1)
     folder = SeriesFolder.create(tmp_path, series.spec, series.source, None, slow)

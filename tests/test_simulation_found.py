@@ -9,6 +9,8 @@ import pytest
 
 from hil.report.simulation_found import found
 
+pytestmark = pytest.mark.quick
+
 JOINTS = ["a", "b"]
 
 

@@ -27,6 +27,8 @@ from hil.spec.station import StationRobot
 from hil.workflow.robot_status import bench
 from hil_drivers.cia402.options import options_of
 
+pytestmark = pytest.mark.quick
+
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
 SHIPPED = [
     path

@@ -14,6 +14,8 @@ from hil.core.yaml_nodes import MOST_BYTES
 from hil.core.yaml_source import parse, read_source
 from hil.core.yaml_values import scalar
 
+pytestmark = pytest.mark.quick
+
 
 def lines_of(text: str | bytes) -> list[str]:
     """What is said about a text, whether it could be parsed or not."""

@@ -35,6 +35,8 @@ from hil.studies.dynamic_printed import AVERAGES, TABLE_II
 from hil.studies.result import StudyResult, Table
 from hil.studies.soundness import faults_of
 
+pytestmark = pytest.mark.quick
+
 SMALL: dict[str, Any] = {
     "cutoff_hz": 20.0,
     "rate_hz": 50.0,

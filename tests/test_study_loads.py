@@ -52,6 +52,7 @@ def table(result: StudyResult, key: str) -> Table:
     return one
 
 
+@pytest.mark.quick
 def test_told_of_the_load_a_model_errs_far_less() -> None:
     mean = {row[0]: row[-1] for row in table(found(), "table-load-errors").rows}
     for load in ("1 kg", "3 kg", "5 kg"):

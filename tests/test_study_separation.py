@@ -213,6 +213,7 @@ def test_pose_only_methods_stay_at_the_friction_and_ours_goes_far_below(
     assert ours < coulomb / 3
 
 
+@pytest.mark.quick
 def test_the_band_of_both_approaches_is_the_friction_there_is() -> None:
     data = program(40, noise=1e-6)
     asked = {**SMALL, "protocols": ["honest"], "methods": ["gravity", "coulomb"]}

@@ -15,6 +15,8 @@ from hil.networks.training_loop.stages import Stage, hybrid_stages, joint_stages
 from hil.networks.training_loop.steps import Steps  # noqa: E402
 from tests.training_parts import LEARN, SmallProblem, Watched, equal, weights  # noqa: E402
 
+pytestmark = pytest.mark.quick
+
 SETTINGS = TrainingSettings(epochs=10, batch_size=32, warm_up_steps=5, learning_rate=0.01)
 
 

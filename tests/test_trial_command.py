@@ -14,6 +14,8 @@ from hil.cli.app import app
 from hil.control.trial.settings import FRICTION_SHARE
 from hil.core.errors import HilError, RecordingError, Rejected, SpecError
 
+pytestmark = pytest.mark.quick
+
 
 @pytest.fixture
 def place():

@@ -20,6 +20,8 @@ from hil_mock_robot.twincat.memory import Memory, contract
 from hil_mock_robot.twincat.playing import Ramp, Trajectory
 from hil_mock_robot.twincat.structured_text import declared_in
 
+pytestmark = pytest.mark.quick
+
 LAYOUT = layout_of(6)
 ROWS = 1000
 

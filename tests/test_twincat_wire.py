@@ -72,6 +72,7 @@ def test_a_second_and_a_thousand_rows_none_missing_none_twice(robot):
     assert len(rows) / len(blocks) >= 100  # each request is worth its millisecond
 
 
+@pytest.mark.quick
 def test_what_is_played_is_what_was_planned_to_the_last_bit(robot):
     segment = move(robot, 0.2, "trajectory")
     rows = follow(robot, segment)

@@ -14,6 +14,8 @@ from hil.core.errors import CommandRefused, PluginError, RobotConnectionError
 from hil_drivers.ur import control as module
 from hil_drivers.ur.control import Control
 
+pytestmark = pytest.mark.quick
+
 
 class Interface:
     """Says `answer` to everything, and keeps what it was called with."""

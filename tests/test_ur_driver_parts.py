@@ -30,6 +30,8 @@ from hil_drivers.ur.session import Told, require_ready
 from hil_drivers.ur.standing import Standing
 from hil_drivers.ur.watch import Watch
 
+pytestmark = pytest.mark.quick
+
 TICK_S = 0.008
 
 

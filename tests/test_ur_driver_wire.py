@@ -117,6 +117,7 @@ def test_it_says_which_arm_it_is(robot, mock):
     assert robot.resource == f"ur://{mock.address}"
 
 
+@pytest.mark.quick
 def test_a_trajectory_is_followed_to_its_end(robot):
     asked = trajectory(robot)
     mine = follow(robot, asked)

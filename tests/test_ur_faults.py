@@ -20,6 +20,8 @@ from hil_mock_robot.ur.stopping import StopJoints
 from hil_mock_robot.ur.troubles import Troubles
 from hil_mock_robot.ur.wire import Framer, Kind, package
 
+pytestmark = pytest.mark.quick
+
 TICK = 0.008
 
 

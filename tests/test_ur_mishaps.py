@@ -17,6 +17,8 @@ from hil_mock_robot.ur.side import SideService
 from hil_mock_robot.ur.threaded import Threaded
 from hil_mock_robot.ur.troubles import Troubles
 
+pytestmark = pytest.mark.quick
+
 
 class Wrong(Exception):
     """Nobody foresaw that."""

@@ -11,6 +11,8 @@ from hil_mock_robot.ur.side import SideService
 from hil_mock_robot.ur.troubles import Troubles
 from hil_mock_robot.ur.witness import Witness
 
+pytestmark = pytest.mark.quick
+
 
 @pytest.fixture
 def clock(monkeypatch):

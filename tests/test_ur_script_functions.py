@@ -51,6 +51,7 @@ def pose(values):
     return "p" + bracketed(values)
 
 
+@pytest.mark.quick
 @pytest.mark.parametrize(
     ("expression", "expected"),
     [

@@ -137,6 +137,7 @@ def test_an_answer_that_is_not_read_is_given_up(
         until(lambda: "an answer was not read for 0.2 s" in caplog.text, WITHIN_S)
 
 
+@pytest.mark.quick
 def test_an_answer_that_is_read_slowly_is_not(tmp_path: Path) -> None:
     left, later = [300], []  # bytes that wait, and what is due next
     config = uvicorn.Config(create_app(settings_in(tmp_path)), log_config=None)

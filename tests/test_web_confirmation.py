@@ -92,6 +92,7 @@ def test_a_mock_needs_no_confirmation(desk: Desk) -> None:
     assert desk.started[0]["confirmed"] is None
 
 
+@pytest.mark.quick
 @pytest.mark.usefixtures("real")
 def test_the_form_shows_what_the_console_shows(desk: Desk) -> None:
     told = plain(desk.post("check").text)

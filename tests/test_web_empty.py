@@ -14,6 +14,8 @@ pytest.importorskip("starlette", reason='the dashboard: pip install "hil[web]"')
 import docs_commands
 from web_parts import dashboard, seen
 
+pytestmark = pytest.mark.quick
+
 WEEKLY = Path(__file__).parents[1] / "experiments" / "reidentify_weekly.yaml"
 
 

@@ -13,6 +13,8 @@ from web_parts import SLY, dashboard, plain, seen
 
 from hil.models.fleet_folder import FleetFolder
 
+pytestmark = pytest.mark.quick
+
 
 @pytest.fixture
 def fleet(tmp_path: Path) -> FleetFolder:

@@ -18,6 +18,8 @@ from hil.excitation.waypoint_file import MOST_QUOTED, read_waypoints
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.model_tree import tree
 
+pytestmark = pytest.mark.quick
+
 SECRET = "root:x:0:0:of:one:line,only"
 
 

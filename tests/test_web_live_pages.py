@@ -24,6 +24,8 @@ from hil.robot import Capabilities
 from hil.workflow.arm_view import ArmView
 from hil.workflow.live_state import LiveState
 
+pytestmark = pytest.mark.quick
+
 ROBOT = Capabilities(joint_names=NAMES, rate_hz=125.0, effort_kind="current")
 PAGE = {"accept": "text/html"}
 PROGRESS: dict[str, Any] = {

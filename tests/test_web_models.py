@@ -18,6 +18,8 @@ from hil.models.drift.history import PROBES_FILE, assess
 from hil.models.log import Entry
 from hil.models.registry import Registry
 
+pytestmark = pytest.mark.quick
+
 MOTION = 30
 
 
