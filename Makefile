@@ -12,7 +12,7 @@ export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 export MKL_NUM_THREADS ?= 1
 
-.PHONY: help demo test test-quick test-fast wire lint types walls proof proof-short proof-state matrix fault-matrix gallery fuzz soak bench wheels docs example clean
+.PHONY: help demo test test-quick test-fast wire lint types walls shape proof proof-short proof-state matrix fault-matrix gallery fuzz soak bench wheels docs example clean
 
 help:
 	@sed -n '/^[a-z-]*:.*##/s/:.*##/ —/p' $(MAKEFILE_LIST)
@@ -83,6 +83,9 @@ types: $(VENV)/.dev ## mypy --strict
 
 walls: $(VENV)/.dev ## import contracts: what may not import what (docs/explanation/architecture.md)
 	$(BIN)/lint-imports
+
+shape: ## packages in order: files, lines, importers per module, import circles (information only)
+	@$(PYTHON) tests/shape.py
 
 proof: $(VENV)/.dev ## the long must-show runs
 	$(BIN)/python -m pytest -m "proof and not matrix" --timeout 1800 -s
