@@ -15,8 +15,8 @@ import can
 import pytest
 
 from hil.can.frame import FRAME, pack_frame
+from hil.can.hosted_hub import HostedHub, hub_thread
 from hil.can.hub import Hub
-from hil.can.hub_thread import HostedHub, hub_thread
 
 
 @pytest.fixture

@@ -22,8 +22,8 @@ from hil.can.frame import (
     Frame,
     pack_frame,
 )
+from hil.can.hosted_hub import hub_thread
 from hil.can.hub import Hub
-from hil.can.hub_thread import hub_thread
 
 
 class Bench:

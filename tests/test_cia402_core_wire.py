@@ -13,8 +13,8 @@ import pytest
 from cia402_parts import CSP, ENABLED, FakeDrive
 
 from hil.can.frame import Frame
+from hil.can.hosted_hub import HostedHub, hub_thread
 from hil.can.hub import Hub
-from hil.can.hub_thread import HostedHub, hub_thread
 from hil_drivers.cia402.can_cyclic import CanCyclic
 from hil_drivers.cia402.contracts import Outputs
 from hil_drivers.cia402.core import Core

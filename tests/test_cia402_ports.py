@@ -13,7 +13,7 @@ import pytest
 from in_time import InTime, measured_again
 
 from hil.can.frame import ERROR, pack_frame, unpack_frame
-from hil.can.hub_thread import hub_thread
+from hil.can.hosted_hub import hub_thread
 from hil.core.errors import RobotConnectionError
 from hil_drivers.cia402.ports import PythonCanPort, SocketPort, port_of
 

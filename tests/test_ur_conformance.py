@@ -11,7 +11,7 @@ import pytest
 
 from hil.testing.bench import Bench
 from hil.testing.conformance import Conformance
-from hil.testing.ur_controller import UrController
+from hil.testing.mock_ur_controller import UrController
 from hil_drivers.ur.options import Options
 from hil_drivers.ur.robot import UrRobot
 

@@ -18,8 +18,8 @@ from .frame import TX_OVERFLOW as TX_OVERFLOW
 from .frame import Frame as Frame
 from .frame import pack_frame as pack_frame
 from .frame import unpack_frame as unpack_frame
+from .hosted_hub import hub_thread as hub_thread
 from .hub import Hub as Hub
-from .hub_thread import hub_thread as hub_thread
 from .interfaces import NETWORK as NETWORK
 from .interfaces import can_interfaces as can_interfaces
 from .interfaces import is_up as is_up

@@ -1,4 +1,4 @@
 from .bench import Bench as Bench
 from .conformance import robot_conformance as robot_conformance
 from .contract_tests import RobotConformance as RobotConformance
-from .ur_controller import ur_controller as ur_controller
+from .mock_ur_controller import ur_controller as ur_controller

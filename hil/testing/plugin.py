@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from hil.testing.can_bus import CanBus
     from hil.testing.conformance import Conformance
     from hil.testing.embedded import MockRobot
-    from hil.testing.ur_controller import UrController
+    from hil.testing.mock_ur_controller import UrController
 
 T = TypeVar("T")
 
@@ -45,7 +45,7 @@ def mock_robot_factory() -> Iterator[Callable[..., MockRobot]]:
 @pytest.fixture
 def ur_controller_factory() -> Iterator[Callable[..., UrController]]:
     """Starts mock UR controllers, each on its own address; ended after the test."""
-    from hil.testing.ur_controller import ur_controller
+    from hil.testing.mock_ur_controller import ur_controller
 
     with _factory(ur_controller) as make:
         yield make
