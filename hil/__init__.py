@@ -12,8 +12,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from hil.core import CARDS
-
 if TYPE_CHECKING:
     from hil.api import (
         dataset,
@@ -39,15 +37,6 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
-
-def _plan_card(plan: Any) -> str:
-    """Draw the card of a plan: planning stands below the report, which draws its picture."""
-    from hil.report import plan_card
-
-    return plan_card(plan)
-
-
-CARDS["Plan"] = _plan_card
 
 __all__ = [
     "Experiment",

@@ -100,7 +100,7 @@ def asked(number: int = 1, **optimise: Any) -> Fourier:
 @pytest.fixture
 def finder(monkeypatch: pytest.MonkeyPatch) -> Finder:
     finder = Finder()
-    monkeypatch.setattr("hil.excitation.optimiser.optimise", finder)
+    monkeypatch.setattr("hil.excitation.optimised.optimise", finder)
     return finder
 
 

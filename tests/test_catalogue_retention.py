@@ -200,7 +200,6 @@ def test_an_interrupted_run_stays_by_the_digest_of_its_recording(
 def test_probes_of_the_champion_stay_and_others_may_go(
     runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from hil.models.drift import history
 
     version(tmp_path / "models", {"run": {"uid": "another"}})
     version(tmp_path / "models", {"run": {"uid": "another"}})
@@ -211,7 +210,9 @@ def test_probes_of_the_champion_stay_and_others_may_go(
         def __init__(self, uid: str, champion: int) -> None:
             self.uid, self.champion = uid, champion
 
-    monkeypatch.setattr(history, "probes_of", lambda *_: [Of("uid-ur5-1", 1), Of("uid-ur5-3", 2)])
+    monkeypatch.setattr(
+        "hil.runs.origins.probes_of", lambda *_: [Of("uid-ur5-1", 1), Of("uid-ur5-3", 2)]
+    )
     assert gone(runs, ALL, tmp_path / "models") == [1, 2, 4, 6]
     assert why(runs, 3, tmp_path / "models") == "it is a probe of ur5 v2"
 

@@ -61,7 +61,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         return None, SimpleNamespace(duration_s=PLANNED_S[experiment.spec.name])
 
     # Planning takes seconds; that it is what `hil plan` says has a test of its own.
-    monkeypatch.setattr(hil.workflow.preview, "preview_experiment", planned)
+    monkeypatch.setattr(hil.maintenance.schedule.motions, "preview_experiment", planned)
     write("probe.yaml", FOURIER.format(name="probe", count=2, seed=3))
     write("campaign.yaml", FOURIER.format(name="campaign", count=2, seed=4) + FIT)
     write("nightly.yaml", SCHEDULE.format(every="1d"))
@@ -327,7 +327,7 @@ def test_motions_are_those_of_the_plans(monkeypatch: pytest.MonkeyPatch) -> None
         seconds.append(plan[1].duration_s)
         return plan
 
-    monkeypatch.setattr(hil.workflow.preview, "preview_experiment", planned)
+    monkeypatch.setattr(hil.maintenance.schedule.motions, "preview_experiment", planned)
     took = motions(load_schedule_spec("nightly.yaml"), None, load_experiment(Path("campaign.yaml")))
     assert took.probe == timedelta()
     assert [took.campaign.total_seconds()] == [round(each) for each in seconds]

@@ -16,7 +16,7 @@ from hil.data.parts import BY_SAMPLE
 from hil.estimators import estimator
 from hil.estimators.base import GROUP, HONEST
 from hil.estimators.static import PAPER_PROTOCOL
-from hil.networks.lagrangian.choices import OURS as OURS_LAGRANGIAN
+from hil.networks.lagrangian.choices import LAGRANGIAN_CHOICES as OURS_LAGRANGIAN
 from hil.networks.residual.settings import TRAINING, ResidualSettings
 
 PAGE = (Path(__file__).parents[1] / "docs" / "reference" / "estimators.md").read_text("utf-8")

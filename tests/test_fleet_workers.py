@@ -79,7 +79,7 @@ def test_no_operator_attends_the_run_of_a_worker(
         desks.append(desk)
         raise HilError("enough")
 
-    monkeypatch.setattr("hil.workflow.run.resume_experiment", resumed)
+    monkeypatch.setattr("hil.maintenance.fleet.worker.resume_experiment", resumed)
     (tmp_path / "start.json").write_text('{"hil_run": 1, "robot_name": "ur5"}')
     answer = worker._done(Job(tmp_path, tmp_path, "", tmp_path, before=tmp_path))
     assert answer["error"]["message"] == "enough"

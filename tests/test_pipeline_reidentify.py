@@ -21,7 +21,6 @@ from hil.maintenance.pipeline.measuring import Measuring
 from hil.maintenance.pipeline.reidentify import Reidentification, as_it_is, reidentification
 from hil.maintenance.pipeline.stages import FOLDER
 from hil.maintenance.schedule.occasion import Job
-from hil.models.drift import history
 from hil.models.drift.bands import banded
 from hil.models.registry import Registry
 from hil.planning.experiment import Experiment
@@ -126,7 +125,7 @@ def _judged(monkeypatch: pytest.MonkeyPatch, *, changed: bool) -> None:
         def to_dict(self) -> dict[str, Any]:
             return {"changed": changed, "text": "friction up on J2", "causes": [], "features": {}}
 
-    monkeypatch.setattr(history, "assess", lambda *given, **named: Judged())
+    monkeypatch.setattr("hil.maintenance.pipeline.due.assess", lambda *given, **named: Judged())
 
 
 def events(robot: Robot) -> list[tuple[str, int]]:

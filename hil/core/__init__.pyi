@@ -59,7 +59,6 @@ from .live_lock import run_holder as run_holder
 from .neighbours import neighbour_of as neighbour_of
 from .neighbours import no_file as no_file
 from .neighbours import no_file_but as no_file_but
-from .notebook import CARDS as CARDS
 from .notebook import Tone as Tone
 from .notebook import card as card
 from .notebook import number as number

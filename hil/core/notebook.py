@@ -7,9 +7,9 @@ sheet); they are repeated because what shows itself, such as a dataset, may not 
 from __future__ import annotations
 
 import base64
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
-from typing import Any, Literal
+from typing import Literal
 
 Tone = Literal["pass", "fail", "warn"]
 Row = Sequence[object]
@@ -29,9 +29,6 @@ DARK = {
 }  # fmt: skip
 
 MOST_ROWS = 12
-
-CARDS: dict[str, Callable[[Any], str]] = {}
-"""Cards by class name that a later package draws; `hil` itself registers them."""
 
 
 def card(

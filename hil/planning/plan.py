@@ -16,7 +16,7 @@ from functools import cached_property
 from typing import Any, Literal
 
 from hil.arms import Payload
-from hil.core import CARDS, FloatArray, card
+from hil.core import FloatArray, plugins
 from hil.excitation import Motion, motion_from_dict
 from hil.planning.extremes import Extremes, extremes_of
 
@@ -143,10 +143,8 @@ class Plan:
 
     def _repr_html_(self) -> str:
         """Return the card for a notebook, with the picture that `hil.report` draws."""
-        if drawn := CARDS.get("Plan"):
-            return drawn(self)
-        facts = {"robot": self.robot_model, "takes": f"{self.duration_s:.0f} s"}
-        return card("Plan", self.name, facts | {"hash": self.hash[:12]})
+        drawn: str = plugins.load("hil.cards", "plan")(self)
+        return drawn
 
     @property
     def waypoints(self) -> int:
