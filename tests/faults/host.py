@@ -174,7 +174,7 @@ def main() -> int:
     case = json.loads(Path(sys.argv[1]).read_text("utf-8"))
     _end_like_ctrl_c()
     recording.plan_for = lambda *_: read_plan(Path("plan.json"))
-    run._report = lambda directory: (None, None)
+    run._report = lambda directory, judged: (None, None)
 
     def confirm(text: str, meanwhile: Callable[[], object]) -> Reply:
         until = time.monotonic() + case["prompt_s"]
