@@ -138,9 +138,7 @@ def test_one_run_makes_each_thing_once(
         "robot opened": 1,
         # The report and the summary in the terminal each read the run directory.
         "copy of the spec in the run parsed": read_again,
-        # Not yet once: before the run has a folder or a recorder, an interlock that cannot be
-        # judged is refused; those that watch are given both.
-        "interlocks built": 2,
+        "interlocks built": 1,
         "prediction of trajectories 0, 1": 1,
         "prediction of trajectories 2": 1,
     }

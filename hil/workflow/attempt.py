@@ -11,6 +11,7 @@ from hil.importers import Completeness, completeness_of
 from hil.planning import Experiment, Plan
 from hil.recording import Recorder, RunDirectory
 from hil.robot import STATE_TOPIC
+from hil.workflow.interlocks import RunInterlocks
 from hil.workflow.sink import COUNTED, RunSink, counts_of, recorded_span
 from hil.workflow.weighed_before import Readings
 
@@ -42,6 +43,7 @@ class Attempt:
         experiment: Spec and station.
         plan: Of the whole run.
         todo: What of it is to be executed now, from where the robot stands.
+        interlocks: Watch over it.
         before: What the attempts before this one recorded.
     """
 
@@ -50,6 +52,7 @@ class Attempt:
     experiment: Experiment
     plan: Plan
     todo: Plan
+    interlocks: RunInterlocks
     before: Before = field(default_factory=lambda: Before())
 
 

@@ -28,7 +28,6 @@ from hil.workflow.attempt import Attempt, Recorded, finish
 from hil.workflow.beginning import open_recorder
 from hil.workflow.confirmation import Confirm, Unconfirmed
 from hil.workflow.control import Control
-from hil.workflow.interlocks import interlocks_for
 from hil.workflow.live_state import LiveState
 from hil.workflow.operator import prompt_on
 from hil.workflow.sink import RunSink
@@ -112,14 +111,8 @@ def _engine(
     around: contextlib.ExitStack,
 ) -> Engine:
     """The engine, and `around` it what is to be closed after it."""
-    directory = attempt.directory
-    interlocks = interlocks_for(
-        attempt.experiment,
-        robot,
-        attempt.plan,
-        folder=directory.path,
-        behind_s=lambda: recorder.behind_s,
-    )
+    directory, interlocks = attempt.directory, attempt.interlocks.all
+    attempt.interlocks.recorder = recorder
     around.callback(interlocks.close)
     sink.event("interlocks", watching=interlocks.describe())
     prompt = prompt_on(robot, attendance.prompt)

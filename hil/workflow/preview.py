@@ -20,7 +20,7 @@ from hil.planning import (
 from hil.robot import Robot
 from hil.workflow.arm_check import require_within_reach
 from hil.workflow.extras import missing_extras
-from hil.workflow.interlocks import interlocks_for
+from hil.workflow.interlocks import RunInterlocks
 
 WITHOUT_THE_ROBOT = (
     "planned without the robot, which was not connected to: the plan begins in the roomiest pose "
@@ -81,8 +81,14 @@ def preview_experiment(
         PlanError: No safe plan follows from the spec, or an interlock cannot be judged.
         RobotError: The robot cannot be asked where it stands.
     """
-    with planned(experiment, connect=connect, watch=watch) as (robot, plan, from_where_it_stands):
-        watching = interlocks_for(experiment, robot, plan, folder=Path(), behind_s=lambda: 0.0)
+    with contextlib.ExitStack() as until_described:
+        robot, plan, from_where_it_stands = until_described.enter_context(
+            planned(experiment, connect=connect, watch=watch)
+        )
+        interlocks = until_described.enter_context(
+            contextlib.closing(RunInterlocks(experiment, robot, plan, Path()))
+        )
+        watching = interlocks.all.describe()
     unasked = () if from_where_it_stands else (WITHOUT_THE_ROBOT,)
     lacking = missing_extras(experiment.spec) if experiment.commissioning is None else ()
-    return plan, preview(plan, watching.describe(), (*unasked, *lacking))
+    return plan, preview(plan, watching, (*unasked, *lacking))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack, closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from hil.workflow.confirmation import Gate, shown_by
 from hil.workflow.control_files import hold_attempt
 from hil.workflow.execute import Attendance, execute
 from hil.workflow.extras import require_extras
-from hil.workflow.interlocks import interlocks_for
+from hil.workflow.interlocks import RunInterlocks
 from hil.workflow.operator import prompt_on, require_attended
 
 
@@ -41,13 +42,16 @@ def record(
         RecordingError: The run directory cannot be made.
     """
     gate = Gate(experiment, attendance.confirm)
-    with held(
-        experiment,
-        wait_s=attendance.wait_s,
-        report=attendance.stage,
-        admit=gate.admit,
-        robot=opened,
-    ) as (robot, lease):
+    with ExitStack() as until_stopped:
+        robot, lease = until_stopped.enter_context(
+            held(
+                experiment,
+                wait_s=attendance.wait_s,
+                report=attendance.stage,
+                admit=gate.admit,
+                robot=opened,
+            )
+        )
         require_within_reach(experiment, robot.capabilities)
         require_usable(experiment, robot)
         attendance.stage("planning")
@@ -55,7 +59,10 @@ def record(
         if (part := experiment.commissioning) is not None:
             experiment = replace(experiment, commissioning=part.within(plan))
         require_attended(plan, prompt_on(robot, attendance.prompt))
-        interlocks_for(experiment, robot, plan)  # one that cannot be judged is refused now
+        # An interlock that cannot be judged is refused now.
+        interlocks = until_stopped.enter_context(
+            closing(RunInterlocks(experiment, robot, plan, runs))
+        )
         require_room_to_begin(runs)
         confirmed = gate.confirmation(robot, plan)
         if not shown_by(confirmed):
@@ -78,7 +85,8 @@ def record(
             attendance.until_judged.enter_context(hold_attempt(directory.path))
             lease.note_run(directory.path)
             attendance.stage(f"running {plan.name} → {directory.path}")
-            return execute(Attempt(directory, 0, experiment, plan, plan), robot, attendance)
+            attempt = Attempt(directory, 0, experiment, plan, plan, interlocks)
+            return execute(attempt, robot, attendance)
 
 
 def require_usable(experiment: Experiment, robot: Robot) -> None:

@@ -34,6 +34,7 @@ from hil.workflow.attempt import NOTHING, Attempt, Before, Recorded
 from hil.workflow.beginning import describe_robot
 from hil.workflow.confirmation import Gate, Granted, MotionFacts, shown_by
 from hil.workflow.execute import Attendance, execute
+from hil.workflow.interlocks import RunInterlocks
 from hil.workflow.operator import prompt_on, require_attended
 from hil.workflow.recording import require_usable
 from hil.workflow.remaining import connected_steps, remaining_steps
@@ -135,13 +136,16 @@ def resume_recording(unfinished: Unfinished, attendance: Attendance) -> Recorded
     experiment, plan = unfinished.experiment, unfinished.plan
     directory = unfinished.directory
     gate = Gate(experiment, attendance.confirm, _confirmed_before(directory))
-    with held(experiment, wait_s=attendance.wait_s, report=attendance.stage, admit=gate.admit) as (
-        robot,
-        lease,
-    ):
+    with contextlib.ExitStack() as until_stopped:
+        robot, lease = until_stopped.enter_context(
+            held(experiment, wait_s=attendance.wait_s, report=attendance.stage, admit=gate.admit)
+        )
         attendance.stage("planning the way back")
         todo, weighed, cold = _remaining(unfinished, robot)
         require_attended(todo, prompt_on(robot, attendance.prompt), resumed=True)
+        interlocks = until_stopped.enter_context(
+            contextlib.closing(RunInterlocks(experiment, robot, plan, directory.path))
+        )
         confirmed = gate.confirmation(robot, todo)
         if not shown_by(confirmed):
             attendance.planned(todo)
@@ -159,7 +163,7 @@ def resume_recording(unfinished: Unfinished, attendance: Attendance) -> Recorded
             )
             for text in _repeated(unfinished, todo, cold=cold):
                 attendance.stage(text)
-            attempt = Attempt(directory, number, experiment, plan, todo, before)
+            attempt = Attempt(directory, number, experiment, plan, todo, interlocks, before)
             return execute(attempt, robot, attendance)
 
 
