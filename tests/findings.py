@@ -240,7 +240,7 @@ def unattended_robots_are_armed(folder: Path) -> str:
     (folder / "series.yaml").write_text(json.dumps(series))
     write_schedule(folder)
     fleet = ("fleet", "run", "probe.yaml", "--robots", "ur*")
-    for words in (("run", "weekly.yaml"), ("run", "series.yaml"), fleet):
+    for words in (("reidentify", "weekly.yaml"), ("run", "series.yaml"), fleet):
         unnamed = hil(*words, cwd=folder, **path)
         assert unnamed.returncode == 2, unnamed.stderr
         assert f"ur5 is a real robot at {at}" in unnamed.stderr, unnamed.stderr
@@ -249,7 +249,7 @@ def unattended_robots_are_armed(folder: Path) -> str:
     (folder / "arms.yaml").write_text(json.dumps({"hil_fleet": 1} | named))
     starts = (
         ("schedule", "run", "weekly.yaml", "--once"),
-        ("run", "weekly.yaml"),
+        ("reidentify", "weekly.yaml"),
         ("run", "series.yaml"),
         (*fleet[:-1], "arms.yaml"),
     )
@@ -259,16 +259,16 @@ def unattended_robots_are_armed(folder: Path) -> str:
     assert not list(folder.glob("runs/*/*/*/start.json")), "something was run"
     armed = hil("schedule", "arm", "weekly.yaml", "--yes", cwd=folder, **path)
     assert armed.returncode == 0, armed.stderr
-    ran = hil("run", "weekly.yaml", cwd=folder, **path)
+    ran = hil("reidentify", "weekly.yaml", cwd=folder, **path)
     assert ran.returncode == 0, ran.stderr
     begun = [json.loads(one.read_text()) for one in folder.glob("runs/*/ur5/*/start.json")]
     assert {one["confirmation"]["how"] for one in begun} == {"armed"}, begun
     for old, new in ((at, "198.51.100.8"), ("198.51.100.8", at)):
         station.write_text(station.read_text().replace(old, new))
-        again = hil("run", "weekly.yaml", cwd=folder, **path).returncode
+        again = hil("reidentify", "weekly.yaml", cwd=folder, **path).returncode
         assert again == (2 if old == at else 0), again
     write_schedule(folder, schedule=SCHEDULE | named | {"description": "changed"})
-    assert hil("run", "weekly.yaml", cwd=folder, **path).returncode == 3
+    assert hil("reidentify", "weekly.yaml", cwd=folder, **path).returncode == 3
     return (
         "a schedule, a series and a fleet that do not name robot and address end with code 2, "
         "unconfirmed with 3, before anything moves; armed, the schedule runs and records it; "

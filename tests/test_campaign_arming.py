@@ -105,7 +105,7 @@ def confirmations(folder: Path) -> list[dict[str, Any]]:
 
 
 @pytest.mark.parametrize(
-    "words", [("schedule", "run", "weekly.yaml", "--once"), ("run", "weekly.yaml")]
+    "words", [("schedule", "run", "weekly.yaml", "--once"), ("reidentify", "weekly.yaml")]
 )
 def test_a_schedule_that_is_not_armed_moves_no_real_robot(
     words: tuple[str, ...], real: object, folder: Path
@@ -126,8 +126,8 @@ def test_a_schedule_is_armed_once_by_the_name_of_its_robot(
     shown = "\n".join(console.shown)
     for said in (AT, "payload", "speed", "Look around."):
         assert said in shown
-    called("run", "weekly.yaml")
-    called("run", "weekly.yaml", "--campaign")
+    called("reidentify", "weekly.yaml")
+    called("reidentify", "weekly.yaml", "--campaign")
     answers = confirmations(folder)
     assert len(answers) >= 2
     assert {(one["how"], one["by"]) for one in answers} == {("armed", "anna")}
@@ -184,15 +184,15 @@ def test_what_has_changed_needs_arming_again(
     assert "armed for ur5" in called("schedule", "show", "weekly.yaml").stdout
     change(folder)
     with pytest.raises(NotConfirmed, match=words):
-        called("run", "weekly.yaml")
+        called("reidentify", "weekly.yaml")
     shown = " ".join(called("schedule", "show", "weekly.yaml").stdout.split())
     assert f"{words}; arm it again" in shown
     assert nothing_moved(folder)
     called("schedule", "arm", "weekly.yaml", "--yes")
-    called("run", "weekly.yaml")
+    called("reidentify", "weekly.yaml")
 
 
-@pytest.mark.parametrize("verb", [("validate",), ("run",), ("schedule", "arm")])
+@pytest.mark.parametrize("verb", [("validate",), ("reidentify",), ("schedule", "arm")])
 @pytest.mark.parametrize(
     ("named", "words"),
     [({}, "the file does not name it"), ({"robots": {"ur5": ELSEWHERE}}, f"has {ELSEWHERE}")],
@@ -211,7 +211,7 @@ def test_mocks_need_neither_names_nor_arming(folder: Path) -> None:
     write_schedule(folder)
     assert "needs no arming" in called("schedule", "arm", "weekly.yaml").stdout
     assert "armed" not in called("schedule", "show", "weekly.yaml").stdout
-    called("run", "weekly.yaml")
+    called("reidentify", "weekly.yaml")
     write_series(folder, {})
     called("run", "series.yaml")
 

@@ -198,7 +198,7 @@ def test_an_arm_that_the_mock_cannot_be_is_not_sent_to_commands_that_refuse_it()
 
 def test_a_schedule_is_lived_through_on_the_mock() -> None:
     schedule, *_ = written("re-identify")
-    done = invoke("run", str(schedule), "--simulate", "1min", "--json")
+    done = invoke("schedule", "simulate", str(schedule), "1min", "--json")
     (first,) = json.loads(done.stdout)["occasions"]
     assert first["result"]["outcome"] == "promoted"
 

@@ -1,4 +1,4 @@
-"""`hil run SCHEDULE`: what a schedule is about, once and now."""
+"""`hil reidentify`: what a schedule is about, once and now."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 import hil
 from hil.cli.app import app
-from hil.core.errors import DataError
+from hil.core.errors import DataError, SpecError
 from hil.maintenance.pipeline.stages import Stage, run_stages
 from hil.maintenance.schedule.ledger import kept
 from hil.maintenance.schedule.occasion import Occasion
@@ -26,7 +26,7 @@ def test_it_is_done_once_and_gone_on_with_where_it_was_cut_off(
 ) -> None:
     write_schedule(tmp_path)
     monkeypatch.chdir(tmp_path)
-    told = CliRunner().invoke(app, ["run", "weekly.yaml", "--json"])
+    told = CliRunner().invoke(app, ["reidentify", "weekly.yaml", "--json"])
     assert told.exit_code == 0, told.output
     first = json.loads(told.stdout)
     assert (first["outcome"], first["champion"], first["name"]) == ("promoted", "v1", "ur5")
@@ -35,7 +35,7 @@ def test_it_is_done_once_and_gone_on_with_where_it_was_cut_off(
 
     for stage in ("register", "summary"):
         (folder / "stages" / f"{stage}.json").unlink()
-    again = CliRunner().invoke(app, ["run", "weekly.yaml"])
+    again = CliRunner().invoke(app, ["reidentify", "weekly.yaml"])
     assert f"going on with {folder}" in again.output
     assert "ur5: v1 is champion: the first one: there are no criteria" in again.stdout
     assert f"campaign: {first['runs']['campaign']}" in again.stdout
@@ -45,7 +45,7 @@ def test_it_is_done_once_and_gone_on_with_where_it_was_cut_off(
 
 def test_two_at_once_do_not_go_on_with_the_same(tmp_path: Path) -> None:
     file, state = write_schedule(tmp_path), tmp_path / "state"
-    command = ["run", str(file), "--state", str(state), "--runs", str(tmp_path / "runs")]
+    command = ["reidentify", str(file), "--state", str(state), "--runs", str(tmp_path / "runs")]
     with kept(state / "by-hand", "weekly"):
         told = CliRunner().invoke(app, command)
     assert isinstance(told.exception, DataError)
@@ -68,7 +68,7 @@ def test_what_was_cut_off_too_long_ago_is_begun_anew(
 
     monkeypatch.setattr("hil.maintenance.pipeline.by_hand.reidentification", work)
     file = write_schedule(tmp_path)
-    told = CliRunner().invoke(app, ["run", str(file), "--state", str(tmp_path / "state")])
+    told = CliRunner().invoke(app, ["reidentify", str(file), "--state", str(tmp_path / "state")])
     assert told.exit_code == 0, told.output
     assert (chosen == [cut.id]) is begun
 
@@ -97,19 +97,17 @@ def test_what_is_asked_again_within_a_second_is_done_again(
     assert asked == [now + timedelta(seconds=k) for k in range(3)]
 
 
-@pytest.mark.parametrize(
-    "option", ["--operator=Ada", "--wait=3", "--speed=10%", "--first=1", "--live", "--waive=a=b"]
-)
-def test_options_for_somebody_who_attends_are_refused(tmp_path: Path, option: str) -> None:
-    file = write_schedule(tmp_path)
-    told = CliRunner().invoke(app, ["run", str(file), option])
-    assert "are for attended runs" in str(told.exception)
+def test_hil_run_names_the_verbs_for_a_schedule(tmp_path: Path) -> None:
+    told = CliRunner().invoke(app, ["run", str(write_schedule(tmp_path))])
+    assert isinstance(told.exception, SpecError)
+    assert "weekly.yaml is a schedule, not an experiment or a series" in str(told.exception)
+    assert "hil reidentify" in told.exception.hint
     assert not (tmp_path / "runs").exists()
 
 
 def test_a_schedule_that_cannot_be_is_refused_before_anything_moves(tmp_path: Path) -> None:
     file = write_schedule(tmp_path, schedule=SCHEDULE | {"probe": None}, campaign=CAMPAIGN)
     runs = tmp_path / "runs"
-    told = CliRunner().invoke(app, ["run", str(file), "--runs", str(runs)])
+    told = CliRunner().invoke(app, ["reidentify", str(file), "--runs", str(runs)])
     assert "weekly.yaml" in str(told.exception)
     assert not runs.exists()

@@ -54,7 +54,7 @@ BY_FUNCTION = {
     "fit": "fit", "evaluate": "evaluate", "payload": "estimate_payload",
     "study": "study", "figures": "figures", "rest-pose": "rest_poses", "export": "export_model",
     "try-out": "try_out", "import": "import_recording", "export-data": "export_data",
-    "models": "registry",
+    "models": "registry", "reidentify": "reidentify",
 }  # fmt: skip
 """What does in Python what a verb does; `models compare` has none."""
 

@@ -53,7 +53,7 @@ def lived(tmp_path_factory: pytest.TempPathFactory) -> Lived:
     folder = tmp_path_factory.mktemp("simulation")
     path = written(folder)
     done = CliRunner().invoke(
-        app, ["run", str(path), "--simulate", "2w", "--runs", str(folder / "runs"), "--json"]
+        app, ["schedule", "simulate", str(path), "2w", "--runs", str(folder / "runs"), "--json"]
     )
     assert done.exit_code == 0, done.output
     told = json.loads(done.stdout)
@@ -165,31 +165,23 @@ def test_the_page_shows_the_weeks(lived: Lived) -> None:
 def test_what_cannot_be_simulated_is_refused_before_anything_is_made(
     tmp_path: Path, robot: Any, simulated: dict[str, Any], said: str
 ) -> None:
-    assert said in refused(tmp_path, written(tmp_path, robot, **simulated), "--simulate", "2w")
+    assert said in refused(tmp_path, written(tmp_path, robot, **simulated), "2w")
     assert not (tmp_path / "runs").exists()
 
 
-@pytest.mark.parametrize(
-    ("more", "said"),
-    [
-        (("often",), "--simulate must be a duration such as 7d"),
-        (("2w", "--campaign"), "do not go with --simulate"),
-        (("2w", "--registry", "elsewhere"), "do not go with --simulate"),
-    ],
-)
-def test_options_that_mean_nothing_are_told(
-    tmp_path: Path, more: tuple[str, ...], said: str
-) -> None:
-    assert said in refused(tmp_path, written(tmp_path), "--simulate", *more)
+def test_a_duration_that_is_none_is_refused(tmp_path: Path) -> None:
+    said = refused(tmp_path, written(tmp_path), "often")
+    assert "DURATION must be a duration such as 7d" in said
 
 
 def test_an_experiment_has_no_weeks(tmp_path: Path) -> None:
     written(tmp_path)
-    assert "is no schedule" in refused(tmp_path, tmp_path / "probe.yaml", "--simulate", "2w")
+    assert "schedule" in refused(tmp_path, tmp_path / "probe.yaml", "2w")
 
 
-def refused(folder: Path, path: Path, *more: str) -> str:
-    """What `hil run` says of it."""
-    done = CliRunner().invoke(app, ["run", str(path), "--runs", str(folder / "runs"), *more])
+def refused(folder: Path, path: Path, lasting: str) -> str:
+    """What `hil schedule simulate` says of it."""
+    command = ["schedule", "simulate", str(path), lasting, "--runs", str(folder / "runs")]
+    done = CliRunner().invoke(app, command)
     assert isinstance(done.exception, SpecError), done.output
     return str(done.exception)

@@ -29,6 +29,7 @@ from hil.cli import (
     pruning,
     recover,
     registry,
+    reidentify,
     replaying,
     resting,
     running,
@@ -68,8 +69,8 @@ app = typer.Typer(
 )
 GROUPS = (
     specs, exciting, running, listening, runs, pruning, live, recover, replaying, models, gains,
-    starting, explaining, loads, studies, registry, drift, fleet, schedule, serving, resting,
-    exports, trying, data, system, bench,
+    starting, explaining, loads, studies, registry, drift, reidentify, fleet, schedule, serving,
+    resting, exports, trying, data, system, bench,
 )  # fmt: skip
 for group in GROUPS:
     group.register(app)

@@ -1,14 +1,17 @@
-"""What the command line says about whoever attends runs, and runs that are attended so."""
+"""The options of verbs that move a robot while somebody attends, and runs attended so."""
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, field
+from functools import partial, wraps
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Any
 
-from hil.cli.live_view import live_view, recorded_capabilities
+import typer
+
+from hil.cli.live_view import LiveFlag, LiveHost, LivePort, live_view, recorded_capabilities
 from hil.core import Rejected, SpecError
 
 if TYPE_CHECKING:
@@ -17,31 +20,68 @@ if TYPE_CHECKING:
     from hil.workflow import Confirm, Moves, RunReport, Together
 
 
+OperatorOption = Annotated[str, typer.Option("--operator", help="Who is at the robot; recorded.")]
+WaiveOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--waive", metavar="NAME=REASON", help="Accept a failed preflight check; recorded."
+    ),
+]
+YesFlag = Annotated[
+    bool,
+    typer.Option(
+        "--yes",
+        help="Move a real robot without a prompt (for scripts). The confirmation is recorded in "
+        "the run.",
+    ),
+]
+
+
 @dataclass(slots=True)
 class Attended:
-    """Who and what attends runs, as the command line says.
+    """Who and what attends runs: the options that `hil run` and `hil resume` share.
 
     Attributes:
-        operator: Who is at the robot.
-        answers: File with answers to all prompts.
-        waive: `NAME=REASON` texts.
-        wait_s: How long to wait for a robot that somebody else holds [s].
-        live: Whether a live view is served, at which port and address.
-        elsewhere: Whether prompts wait for answers from elsewhere.
-        yes: Whether a real robot moves without a prompt.
-        confirmed: File with the facts that were confirmed elsewhere.
         together: Confirmation of all runs of a series at once; None before it.
     """
 
-    operator: str
-    answers: Path | None
-    waive: tuple[str, ...]
-    wait_s: float
-    live: tuple[bool, int | None, str | None]
-    elsewhere: bool = False
-    yes: bool = False
-    confirmed: Path | None = None
-    together: Together | None = None
+    operator: OperatorOption = ""
+    answers: Annotated[
+        Path | None,
+        typer.Option("--answers", help="Answers to all prompts (YAML), for runs nobody attends."),
+    ] = None
+    elsewhere: Annotated[
+        bool,
+        typer.Option(
+            "--elsewhere",
+            help="Nobody sits at this console: prompts, also those of a mock, wait for "
+            "`hil answer` or the dashboard.",
+        ),
+    ] = False
+    waive: WaiveOption = None
+    wait: Annotated[
+        float,
+        typer.Option(
+            "--wait",
+            min=0,
+            metavar="SECONDS",
+            help="How long to wait for a robot that somebody else holds.",
+        ),
+    ] = 0.0
+    yes: YesFlag = False
+    confirmed: Annotated[
+        Path | None,
+        typer.Option(
+            "--confirmed",
+            metavar="FILE",
+            help="JSON file with the confirmed facts of the motion, as written by the dashboard; "
+            "a real robot moves only if they cover this run.",
+        ),
+    ] = None
+    live: LiveFlag = False
+    live_port: LivePort = None
+    live_host: LiveHost = None
+    together: Together | None = field(default=None, init=False)
 
     def confirm_together(self, moves: Moves) -> None:
         """Confirm all robots of a series or a fleet at once; its runs do not ask again."""
@@ -84,15 +124,15 @@ class Attended:
         desk = console_desk(
             self.operator,
             answers=self.answers,
-            wait_s=self.wait_s,
+            wait_s=self.wait,
             elsewhere=self.elsewhere,
             confirm=confirm,
         )
-        with live_view(robot, *self.live) as views:
+        with live_view(robot, self.live, self.live_port, self.live_host) as views:
             return move(
                 operator=self.operator,
                 observers=(ProgressLines(), *views),
-                waivers=waivers_of(self.waive),
+                waivers=waivers_of(self.waive or ()),
                 desk=desk,
             )
 
@@ -103,6 +143,30 @@ class Attended:
         if self.confirmed is not None:
             return granted_in(self.confirmed)
         return Granted("--yes", self.operator) if self.yes else None
+
+
+def with_attendance(verb: Callable[..., None]) -> Callable[..., None]:
+    """Give a verb the options of `Attended` in place of its parameter `attended`."""
+    signature = inspect.signature(verb, eval_str=True)
+    shared = {
+        option.name: option.replace(kind=inspect.Parameter.KEYWORD_ONLY)
+        for option in inspect.signature(Attended, eval_str=True).parameters.values()
+    }
+    own = [
+        option.replace(kind=inspect.Parameter.KEYWORD_ONLY)
+        for option in signature.parameters.values()
+    ]
+    place = next(number for number, option in enumerate(own) if option.name == "attended")
+
+    @wraps(verb)
+    def with_options(**given: Any) -> None:
+        attended = Attended(**{name: given.pop(name) for name in shared})
+        verb(**given, attended=attended)
+
+    options = [*own[:place], *shared.values(), *own[place + 1 :]]
+    vars(with_options)["__signature__"] = signature.replace(parameters=options)
+    with_options.__annotations__ = {option.name: option.annotation for option in options}
+    return with_options
 
 
 def rejected(report: RunReport) -> Rejected | None:

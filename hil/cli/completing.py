@@ -6,6 +6,7 @@ that no other command pays for it.
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Iterator
 from copy import copy
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
@@ -67,6 +68,7 @@ BY_COMMAND: dict[tuple[str, str], Find] = {
     ("report", "run"): candidates.reported,
     ("new", "robot"): candidates.arms,
     ("drift", "name"): candidates.registered,
+    ("reidentify", "schedule"): candidates.schedules,
     ("record", "until"): _words("program-stops"),
     ("models register", "name"): candidates.registered,
     ("models show", "name"): candidates.registered,
@@ -78,7 +80,7 @@ BY_COMMAND: dict[tuple[str, str], Find] = {
     ("models log", "name"): candidates.registered,
     **{
         (f"schedule {verb}", "file"): candidates.schedules
-        for verb in ("run", "plan", "show", "hold", "release", "systemd")
+        for verb in ("run", "arm", "plan", "show", "simulate", "hold", "release", "systemd")
     },
 }
 """Of a parameter of one command, before `BY_NAME`."""
@@ -97,7 +99,13 @@ def attach(app: typer.Typer) -> None:
             if find is not None and get_origin(hint) is Annotated:
                 hints[name] = _with(find, hint)
         # Annotations are text until here: typer would make them anew, without what was attached.
-        callback.__annotations__ = hints
+        signature = inspect.signature(callback)
+        vars(callback)["__signature__"] = signature.replace(
+            parameters=[
+                option.replace(annotation=hints[option.name])
+                for option in signature.parameters.values()
+            ]
+        )
 
 
 def _with(find: Find, hint: Any) -> Any:

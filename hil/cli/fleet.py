@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hil.cli import fleet_models
-from hil.cli.attended import waivers_of
+from hil.cli.attended import OperatorOption, WaiveOption, YesFlag, waivers_of
 from hil.cli.fleet_models import FolderArgument, WorkersOption
 from hil.cli.output import JsonFlag, RunsOption, SpecPath, StationOption, print_json, print_table
-from hil.cli.running import OperatorOption, WaiveOption, YesFlag
 
 if TYPE_CHECKING:
     from hil.maintenance import FleetReport, Manner

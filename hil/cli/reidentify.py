@@ -1,13 +1,27 @@
-"""Verbs given a schedule: `hil run` does what it is about once, now; `hil validate` checks it."""
+"""`hil reidentify`: probe a robot once, now, and identify it again if it has changed."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import typer
 
-from hil.cli.output import print_json, print_table, print_warnings, say
+from hil.cli.output import (
+    JsonFlag,
+    RunsOption,
+    StationOption,
+    print_json,
+    print_table,
+    print_warnings,
+    say,
+)
+from hil.cli.registry import HERE, RegistryOption
+
+
+def register(app: typer.Typer) -> None:
+    """Add this group's verb."""
+    app.command()(reidentify)
 
 
 def validate_schedule(path: Path, station: Path | None, json: bool) -> None:
@@ -38,36 +52,31 @@ def validate_schedule(path: Path, station: Path | None, json: bool) -> None:
     print_warnings(missing)
 
 
-def run_schedule(
-    path: Path,
-    station: Path | None,
-    runs: Path,
-    registry: Path,
-    state: Path | None,
-    *,
-    campaign: bool,
-    json: bool,
+def reidentify(
+    schedule: Annotated[Path, typer.Argument(help="Schedule (YAML).", show_default=False)],
+    station: StationOption = None,
+    runs: RunsOption = Path("runs"),
+    registry: RegistryOption = HERE,
+    state: Annotated[
+        Path | None,
+        typer.Option("--state", help="Folder of its state; by default schedules/NAME."),
+    ] = None,
+    campaign: Annotated[
+        bool, typer.Option("--campaign", help="Identify it again whatever its probe says.")
+    ] = False,
+    json: JsonFlag = False,
 ) -> None:
-    """Do once and now what a schedule is about; goes on with what was cut off not too long ago.
+    """Probe a robot once, now, and identify it again if it has changed, as a schedule says.
 
-    Args:
-        path: Its file.
-        station: In place of the one it names.
-        runs: Where run directories are kept.
-        registry: Where models are.
-        state: Of the schedule; by default `schedules/NAME`.
-        campaign: Whether the full program is run whatever the probe says.
-        json: Whether to print one document and nothing else.
-
-    Raises:
-        DataError: Another process does the same now.
+    Continues an earlier call that was cut off, unless it began before the schedule's
+    `missed_within`.
     """
     from hil import api
     from hil.cli.progress import ProgressLines
     from hil.engine import ignore_from_now_on
 
     told = api.reidentify(
-        path, station=station, runs=runs, registry=registry, state=state, campaign=campaign,
+        schedule, station=station, runs=runs, registry=registry, state=state, campaign=campaign,
         observers=(ProgressLines(),), tell=lambda text: typer.echo(text, err=True),
     )  # fmt: skip
     ignore_from_now_on()

@@ -9,6 +9,7 @@ from zoneinfo import ZoneInfo
 
 import typer
 
+from hil.cli.attended import OperatorOption
 from hil.cli.output import (
     JsonFlag,
     RunsOption,
@@ -18,8 +19,8 @@ from hil.cli.output import (
     say,
 )
 from hil.cli.registry import HERE, RegistryOption
-from hil.cli.running import OperatorOption
 from hil.cli.schedule_words import SHOWN, held_words, next_words, print_ledger, print_plan, words
+from hil.cli.simulating import simulate
 from hil.core import DataError, HilError, SpecError
 
 if TYPE_CHECKING:
@@ -42,6 +43,7 @@ app = typer.Typer(
 
 def register(parent: typer.Typer) -> None:
     """Add this group's verbs."""
+    app.command()(simulate)
     parent.add_typer(app, name="schedule")
 
 

@@ -1,4 +1,4 @@
-"""`hil run SCHEDULE --simulate 12w`: weeks of a schedule on the embedded mock, at once."""
+"""`hil schedule simulate SCHEDULE 12w`: weeks of a schedule on the embedded mock, at once."""
 
 from __future__ import annotations
 
@@ -9,50 +9,40 @@ from typing import Annotated, Any
 
 import typer
 
-from hil.cli.output import print_json, print_table
+from hil.cli.output import JsonFlag, RunsOption, StationOption, print_json, print_table
 from hil.cli.runs import fail
 from hil.core import HilError, SpecError
 
 WEEK_MIN = 7 * 24 * 60
 
-SimulateOption = Annotated[
-    str,
-    typer.Option(
-        "--simulate",
-        metavar="DURATION",
-        help="A schedule: live through so much time at once on the embedded mock, such as 12w.",
-    ),
-]
 
-
-def simulate_schedule(
-    path: Path, station: Path | None, runs: Path, lasting: str, *, json: bool
+def simulate(
+    file: Annotated[Path, typer.Argument(help="Schedule (YAML).", show_default=False)],
+    lasting: Annotated[
+        str, typer.Argument(metavar="DURATION", help="How long, such as 12w.", show_default=False)
+    ],
+    station: StationOption = None,
+    runs: RunsOption = Path("runs"),
+    json: JsonFlag = False,
 ) -> None:
-    """Live through a schedule, and tell what came of it.
-
-    Args:
-        path: Its file.
-        station: In place of the one it names.
-        runs: A folder for everything is made below it.
-        lasting: How long, as people write it.
-        json: Whether to print one document and nothing else.
-    """
+    """Live through weeks of a schedule at once, on the embedded mock, which wears and warms."""
     from hil.core import new_folder
     from hil.engine import ignore_from_now_on
-    from hil.maintenance import bind, require_mock, simulate
+    from hil.maintenance import bind, require_mock
+    from hil.maintenance import simulate as live_through
     from hil.recording import name_for_path
     from hil.report import render_simulation
     from hil.spec import load_schedule_spec
     from hil.workflow import require_extras
 
-    spec, duration = load_schedule_spec(path), _duration(lasting)
-    bound = bind(spec, station, path)
+    spec, duration = load_schedule_spec(file), _duration(lasting)
+    bound = bind(spec, station, file)
     require_mock(bound)
     for experiment in bound.experiments:
         require_extras(experiment.spec)
     above = runs / datetime.now().astimezone().date().isoformat() / "simulations"
     folder = new_folder(above, f"simulation-{name_for_path(spec.name)}")
-    told = simulate(spec, duration, folder, station=station, tell=_said)
+    told = live_through(spec, duration, folder, station=station, tell=_said)
     page = render_simulation(folder)
     ignore_from_now_on()
     failed = [each for each in told["occasions"] if each["event"] == "failed"]
@@ -74,7 +64,7 @@ def _duration(text: str) -> timedelta:
     try:
         return duration_of(text)
     except ValueError as error:
-        raise SpecError(f"--simulate {error}") from None
+        raise SpecError(f"DURATION {error}", hint="such as 12w or 30min") from None
 
 
 def _said(line: Mapping[str, Any]) -> None:

@@ -178,7 +178,7 @@ def _next(kind: str, file: Path) -> list[str]:
         return [
             f"hil validate {path}",
             f"hil schedule plan {path}",
-            f"hil run {path} --simulate 30min",
+            f"hil schedule simulate {path} 30min",
             f"hil schedule run {path}",
         ]
     named = shlex.quote(str(file.with_name(f"{file.stem}-station.yaml")))

@@ -1,4 +1,4 @@
-"""The page of `hil run SCHEDULE --simulate`: weeks of a mock, what changed, and what was done."""
+"""The page of `hil schedule simulate`: weeks of a mock, what changed, and what was done."""
 
 from __future__ import annotations
 

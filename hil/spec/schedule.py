@@ -147,7 +147,7 @@ class Wear(Strict):
 
 
 class Simulated(Strict):
-    """What happens to a mock in the weeks of `--simulate`."""
+    """What happens to a mock in the weeks of `hil schedule simulate`."""
 
     room_c: tuple[Finite, Finite] = Field(
         (18.0, 26.0), description="Every occasion finds the room between these."
@@ -203,7 +203,7 @@ class ScheduleSpec(Strict):
         "standard input; no shell.",
     )
     simulate: Simulated = Field(
-        Simulated(), description="What happens to a mock with `hil run … --simulate`."
+        Simulated(), description="What happens to a mock with `hil schedule simulate`."
     )
 
     @model_validator(mode="after")

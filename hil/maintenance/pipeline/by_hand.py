@@ -1,4 +1,4 @@
-"""A schedule's work done once, now, because somebody asked: `hil run SCHEDULE`."""
+"""A schedule's work done once, now, because somebody asked: `hil reidentify`."""
 
 from __future__ import annotations
 

@@ -150,7 +150,7 @@ def require_mock(bound: Bound) -> None:
             raise SpecError(
                 f"{name} ({experiment.station_source}) has the driver {robot.driver}{clock}: only "
                 "the embedded mock lives through weeks at once",
-                hint="leave --simulate out, or name another station with --station",
+                hint="name another station with --station",
             )
     simulated = bound.spec.simulate
     for room in simulated.room_c:
