@@ -15,13 +15,14 @@ import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from inspect import signature
-from operator import index
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
+import lazy_loader  # type: ignore[import-untyped]
+
+from hil.arms import AnyPayload, payload_of
 from hil.control import FRICTION_SHARE
-from hil.core import DataError, SpecError
-from hil.data import Dataset
+from hil.core import AnyPath, SpecError, path_of, paths_of, sources_of, values_by_name, whole_number
 from hil.engine import Observer
 from hil.planning import Experiment, Plan, load_experiment
 from hil.runs import describe_run, find_runs, list_runs
@@ -35,14 +36,28 @@ from hil.workflow import (
 )
 
 if TYPE_CHECKING:
-    from hil.arms import Payload
-    from hil.control import RestReport, Trial
-    from hil.estimators import PayloadEstimate
-    from hil.evaluation import FitReport
-    from hil.export import Written
-    from hil.models import Registry
+    from hil.control import Trial, rest_poses
+    from hil.evaluation import FitReport, estimate_payload
+    from hil.export import export_model
+    from hil.importers import dataset, export_data, import_recording
+    from hil.maintenance import reidentify
+    from hil.models import registry
     from hil.networks import Watch
+    from hil.report import figures
     from hil.studies import StudyResult
+
+__getattr__, _, _ = lazy_loader.attach(
+    "hil",
+    submod_attrs={
+        "control": ["rest_poses"],
+        "evaluation": ["estimate_payload"],
+        "export": ["export_model"],
+        "importers": ["dataset", "export_data", "import_recording"],
+        "maintenance": ["reidentify"],
+        "models": ["registry"],
+        "report": ["figures"],
+    },
+)
 
 __all__ = [
     "AnyPath",
@@ -72,11 +87,6 @@ __all__ = [
 ]
 
 
-AnyPath = str | Path
-AnyPayload: TypeAlias = "str | float | Payload"
-"""`MASS` or `MASS,X,Y,Z` [kg, m], the mass alone as a number [kg], or a `hil.arms.Payload`."""
-
-
 def load(
     spec: AnyPath,
     station: AnyPath | None = None,
@@ -96,9 +106,9 @@ def load(
     """
     texts = {
         key: value if isinstance(value, str) else json.dumps(value, default=_plain)
-        for key, value in _mapping(overrides, "overrides", "{'excitation.seed': 3}").items()
+        for key, value in values_by_name(overrides, "overrides", "{'excitation.seed': 3}").items()
     }
-    return load_experiment(_path(spec), _path(station) if station else None, texts)
+    return load_experiment(path_of(spec), path_of(station) if station else None, texts)
 
 
 def _loaded(experiment: Experiment) -> Experiment:
@@ -183,7 +193,7 @@ def run(
 
     return run_experiment(
         experiment,
-        runs=_path(runs),
+        runs=path_of(runs),
         operator=operator,
         observers=observers,
         waivers=_waivers_of(waivers),
@@ -232,7 +242,7 @@ def resume(
     from hil.workflow import resume_experiment
 
     return resume_experiment(
-        _path(run), operator=operator, observers=observers,
+        path_of(run), operator=operator, observers=observers,
         desk=_confirming(desk, robot, operator), waivers=_waivers_of(waivers),
     )  # fmt: skip
 
@@ -262,37 +272,13 @@ def study(
     from hil.report import render_report
     from hil.workflow import entries_for, run_studies, unwatched
 
-    folder = _path(run)
-    given = _mapping(parameters, "parameters", "{'seed': 3}")
+    folder = path_of(run)
+    given = values_by_name(parameters, "parameters", "{'seed': 3}")
     found = run_studies(folder, entries_for(folder, name, given), watch or unwatched)
     render_report(folder)
     if found.error is not None:
         raise found.error
     return tuple(result for _, result in found.made)
-
-
-def figures(
-    run: AnyPath, out: AnyPath, *, formats: Sequence[str] = ("pdf",), width: str = "column"
-) -> list[Path]:
-    """Write the figures of a run or a page, and tables of studies, as files for papers.
-
-    Args:
-        run: The run directory, or an HTML page that hil wrote.
-        out: Folder for the files; made when missing.
-        formats: Of the figures: `pdf`, `svg`, `png`.
-        width: `column` (88 mm) or `page` (181 mm).
-
-    Returns:
-        What was written.
-
-    Raises:
-        PluginError: matplotlib is not installed.
-        DataError: There is no figure, or a study or the page is damaged.
-        SpecError: There is no such format or width.
-    """
-    from hil.report import write_papers
-
-    return write_papers(_path(run), _path(out), formats=formats, width=width)
 
 
 def fit(
@@ -329,7 +315,8 @@ def fit(
     from hil.estimators import read_gains
     from hil.evaluation import fit_sources
 
-    held_out, given = _paths(validate), _mapping(parameters, "parameters", "{'weighted': True}")
+    held_out = paths_of(validate)
+    given = values_by_name(parameters, "parameters", "{'weighted': True}")
     if taken := sorted(given.keys() & signature(fit_sources).parameters.keys()):
         raise SpecError(
             f"{taken[0]} is no parameter of an estimator", hint=f"hil.fit(…, {taken[0]}=…)"
@@ -340,19 +327,19 @@ def fit(
             hint="name one: hil.fit(…, validate=…)",
         )
     result = fit_sources(
-        _sources_of(sources),
+        sources_of(sources),
         estimator=estimator,
         robot=robot,
-        payload=_payload_of(payload),
-        gains=read_gains(_path(gains)) if gains else None,
+        payload=payload_of(payload),
+        gains=read_gains(path_of(gains)) if gains else None,
         validate=held_out,
-        out=_path(out),
+        out=path_of(out),
         watch=watch,
-        checkpoints=None if checkpoints is None else _path(checkpoints),
+        checkpoints=None if checkpoints is None else path_of(checkpoints),
         **given,
     )
     if page is not None:
-        _fit_page(result, held_out, _path(page))
+        _fit_page(result, held_out, path_of(page))
     return result
 
 
@@ -374,257 +361,7 @@ def evaluate(model: AnyPath, sources: AnyPath | Iterable[AnyPath]) -> list[dict[
     """
     from hil.evaluation import evaluate_sources
 
-    return evaluate_sources(_path(model), _sources_of(sources))
-
-
-def estimate_payload(
-    model: AnyPath,
-    sources: AnyPath | Iterable[AnyPath],
-    *,
-    friction: str = "auto",
-    bare: AnyPath | Iterable[AnyPath] = (),
-    gain_share: float | None = None,
-) -> PayloadEstimate:
-    """The load that was mounted in recordings, by a saved model of the arm.
-
-    A recording of an arm at rest tells mass and centre of mass, one of motion inertia as well.
-
-    Args:
-        model: Its folder.
-        sources: Run directories or MCAP files recorded with that load, or just one.
-        friction: What of the model's friction may differ on that day: nothing (`model`), an
-            `offset` per joint, or an offset and a factor (`scale`); `auto` lets the recording
-            choose, by stretches that are left out in turn. At rest it is `auto`.
-        bare: At rest: the same program run with nothing mounted, nor declared; much smaller errors.
-        gain_share: Standard deviation of a drive gain, as a share of it, for the errors; by default
-            0.05, or 0.01 where they were calibrated (`hil gains`); torques have none.
-
-    Raises:
-        DataError: A source cannot be read, is of another robot, or was fitted to.
-        FitError: The recording does not tell the load.
-        SpecError: There is no such way to treat friction, or `bare` was given with motion.
-    """
-    from typing import cast
-
-    from hil.evaluation import payload_of_sources
-
-    return payload_of_sources(
-        _path(model), _paths(sources), cast("Any", friction),
-        bare=_paths(bare), gain_share=gain_share,
-    )  # fmt: skip
-
-
-def dataset(*sources: AnyPath | Iterable[AnyPath]) -> Dataset:
-    """The samples of run directories or MCAP files, with their conditions.
-
-    Args:
-        sources: One or more, or lists of them, of one robot and one kind of effort.
-
-    Returns:
-        Columns of N rows by name: `t` (N,) [s]; `q` (N, n) [rad], `qd` (N, n) [rad/s], `effort`
-        (N, n) [A or N·m] and what else was recorded.
-
-    Raises:
-        DataError: None was given, one cannot be read, or they are of different robots.
-        SpecError: One is no path.
-    """
-    from hil.importers import load_source
-
-    return Dataset.concatenate([load_source(source) for source in _sources_of(*sources)])
-
-
-def export_data(source: AnyPath, out: AnyPath) -> dict[str, Any]:
-    """Write the samples of a run for other programs: one row each, nothing rounded.
-
-    Args:
-        source: Run directory or MCAP file.
-        out: `….parquet`, `….csv` or `….npz`.
-
-    Returns:
-        `files`, `samples`, `series`, `columns`, `notes`.
-
-    Raises:
-        DataError: The source cannot be read, or no format is called so.
-        PluginError: Parquet without pyarrow.
-        RecordingError: A file is there already, or cannot be written.
-    """
-    from hil.importers import export_data as exported
-
-    return exported(_path(source), _path(out)).to_dict()
-
-
-def import_recording(
-    file: AnyPath,
-    *,
-    map_file: AnyPath,
-    out: AnyPath,
-    format_: str | None = None,
-    rows: tuple[int, int] | None = None,
-    drop_bad_rows: bool = False,
-    payload: AnyPayload | None = None,
-) -> dict[str, Any]:
-    """Turn a recording of another tool into our MCAP.
-
-    Args:
-        file: What to import.
-        map_file: YAML that says what its columns are.
-        out: The MCAP to be made.
-        format_: Overrides the map's format.
-        rows: First and last row, counted from 1, both included; the map's windows do not apply.
-        drop_bad_rows: Leave rows out that make no sense instead of refusing.
-        payload: `MASS` or `MASS,X,Y,Z` [kg, m], a number [kg] or a `Payload` that was mounted; 0
-            for nothing; by default what the map says.
-
-    Raises:
-        SpecError: The map or the payload is not valid.
-        DataError: The file holds rows that make no sense (with their line numbers).
-    """
-    from hil.importers import import_file
-
-    report = import_file(
-        _path(file),
-        _path(map_file),
-        out=_path(out),
-        format_=format_,
-        rows=rows,
-        drop_bad_rows=drop_bad_rows,
-        payload=_payload_of(payload),
-    )
-    return report.to_dict()
-
-
-def registry(folder: AnyPath = "registry") -> Registry:
-    """Models under names, in versions: who is champion, who was, and why.
-
-    Args:
-        folder: Made when something is registered.
-    """
-    from hil.models import Registry
-
-    return Registry(_path(folder))
-
-
-def reidentify(
-    schedule: AnyPath,
-    *,
-    station: AnyPath | None = None,
-    runs: AnyPath = "runs",
-    registry: AnyPath = "registry",
-    state: AnyPath | None = None,
-    campaign: bool = False,
-    observers: Sequence[Observer] = (),
-    tell: Callable[[str], object] | None = None,
-) -> dict[str, Any]:
-    """Do once, now, what a schedule is about; goes on with what was cut off not too long ago.
-
-    Args:
-        schedule: Its file.
-        station: In place of the one it names.
-        runs: Where run directories are kept.
-        registry: Where the champion is, and challengers go.
-        state: Folder of the schedule; by default `schedules/NAME`.
-        campaign: Run the full program whatever the probe says.
-        observers: Receive progress events of the runs, each on its own thread.
-        tell: Told what is begun, in a few words.
-
-    Returns:
-        `outcome` (`quiet`, `drift`, `promoted`, `kept`), `text`, `name`, `champion`, `before`,
-        `challenger`, `drift`, `decision`, `errors`, `runs`, `folder`: see docs/reference/files.md.
-
-    Raises:
-        SpecError: With every problem of the schedule and the files it names.
-        DataError: Another process does the same now.
-        HilError: What keeps a stage from its end; the next call goes on there.
-    """
-    from hil.maintenance import run_once
-
-    return run_once(
-        _path(schedule),
-        station=_path(station) if station else None,
-        runs=_path(runs),
-        registry=_path(registry),
-        state=_path(state) if state else None,
-        campaign=campaign,
-        observers=observers,
-        tell=tell or (lambda text: None),
-    )
-
-
-def export_model(
-    model: AnyPath,
-    out: AnyPath,
-    *,
-    to: str = "c",
-    prefix: str | None = None,
-    unchecked: bool | None = None,
-) -> Written:
-    """Write a saved model for other programs, compared with the model in Python first.
-
-    Args:
-        model: Its folder.
-        out: The file or folder to be made.
-        to: `c` and the other targets of `hil.export.targets`.
-        prefix: What files and symbols of C begin with; by default `hil`.
-        unchecked: Write C without a compiler to check it with, or a URDF however far off it is.
-
-    Raises:
-        DataError: The model cannot be read.
-        FitError: It is of a kind that cannot be written so, or what was written does not agree.
-        PluginError: Something it takes is not installed, such as a C compiler or cvxpy.
-        RecordingError: The file or folder exists already.
-        SpecError: There is no such target, or an option is none of it.
-    """
-    from hil.estimators import load_model_file
-    from hil.export import export_model as export
-
-    stored = load_model_file(_path(model))
-    return export(stored, _path(out), to, prefix=prefix, unchecked=unchecked)
-
-
-def rest_poses(
-    model: AnyPath,
-    *,
-    station: AnyPath | None = None,
-    robot: str | None = None,
-    payload: AnyPayload | None = None,
-    clearance_mm: float | None = None,
-    near_deg: Sequence[float] | None = None,
-    count: int = 3,
-    seed: int = 0,
-    unchecked: bool = False,
-) -> RestReport:
-    """The poses in which a model's arm loads its brakes least.
-
-    Args:
-        model: Its folder.
-        station: Says what stands around the arm; by default the one experiments here would use,
-            or a table at its base.
-        robot: Name in the station; by default its only robot that is the model's.
-        payload: `MASS` or `MASS,X,Y,Z` [kg, m], a number [kg] or a `Payload` that is mounted.
-        clearance_mm: Distance that is kept; by default the station's.
-        near_deg: Where the arm stands now, or would rather be [°].
-        count: How many poses.
-        seed: Of the search.
-        unchecked: Leave clearance out, the only way for an arm without collision bodies.
-
-    Raises:
-        FitError: The model has no gravity, or cannot tell torques.
-        SpecError: The robot is another arm, or an argument cannot be.
-        PlanError: No pose is within limits and clear.
-    """
-    from hil.control import find_rest_poses
-
-    return find_rest_poses(
-        _path(model),
-        station=_path(station) if station else None,
-        robot=robot,
-        payload=_payload_of(payload),
-        clearance_mm=clearance_mm,
-        near_deg=near_deg,
-        count=_whole(count, "count", 1),
-        seed=_whole(seed, "seed", 0),
-        unchecked=unchecked,
-    )
+    return evaluate_sources(path_of(model), sources_of(sources))
 
 
 def try_out(
@@ -665,95 +402,20 @@ def try_out(
     from hil.export import require_new, write_folder
     from hil.report import TRY_OUT_FILE, page_html, trial_page
 
-    folder = _path(out)
+    folder = path_of(out)
     require_new(folder)
     trial = run_trial(
-        _path(model),
-        station=_path(station) if station else None,
+        path_of(model),
+        station=path_of(station) if station else None,
         robot=robot,
-        payload=_payload_of(payload),
-        seed=_whole(seed, "seed", 0),
+        payload=payload_of(payload),
+        seed=whole_number(seed, "seed", 0),
         friction_share=friction_share,
         progress=progress or (lambda text: None),
     )
     document = json_bytes(trial.to_dict()).decode()
     write_folder({TRY_OUT_FILE: page_html(trial_page(trial)), "try-out.json": document}, folder)
     return trial
-
-
-def _path(given: AnyPath) -> Path:
-    """One path.
-
-    Raises:
-        SpecError: It is none.
-    """
-    if isinstance(given, str | Path):
-        return Path(given)
-    raise SpecError(
-        f"a path is wanted, not {given!r:.80}",
-        hint="give it as text or pathlib.Path; that of a report is its `run`",
-    )
-
-
-def _paths(given: AnyPath | Iterable[AnyPath]) -> list[Path]:
-    """One path or several; a text is a path, not a row of letters.
-
-    Raises:
-        SpecError: They are none.
-    """
-    if isinstance(given, str | Path) or not isinstance(given, Iterable):
-        return [_path(given)]
-    return [_path(one) for one in given]
-
-
-def _sources_of(*given: AnyPath | Iterable[AnyPath]) -> list[Path]:
-    """Paths of recordings, one at least.
-
-    Raises:
-        DataError: There is none.
-        SpecError: They are no paths.
-    """
-    found = [one for some in given for one in _paths(some)]
-    if not found:
-        raise DataError(
-            "no recording was given", hint="give a run directory or an MCAP file (hil.find_runs)"
-        )
-    return found
-
-
-def _payload_of(given: AnyPayload | None) -> Payload | None:
-    """A load, as `--payload` reads it; that of a mass alone is at the flange's origin.
-
-    Returns:
-        None when nothing was said; of 0, that nothing is mounted.
-
-    Raises:
-        SpecError: It is none.
-    """
-    if given is None:
-        return None
-    from hil.arms import Payload
-    from hil.evaluation import parse_payload
-
-    if isinstance(given, Payload):
-        read = parse_payload(",".join(f"{number}" for number in (given.mass, *given.com)))
-        return replace(read, inertia=given.inertia)
-    return parse_payload(f"{given}")
-
-
-def _mapping(given: Mapping[str, Any] | None, what: str, example: str) -> dict[str, Any]:
-    """Values by name; none when nothing is given.
-
-    Raises:
-        SpecError: It is no mapping of names.
-    """
-    if given is None:
-        return {}
-    if not isinstance(given, Mapping) or not all(isinstance(name, str) for name in given):
-        raise SpecError(
-            f"{what} is {given!r:.80}, not values by name", hint=f"for example: {example}"
-        )
-    return dict(given)
 
 
 def _waivers_of(given: Mapping[str, str] | None) -> dict[str, str]:
@@ -763,31 +425,13 @@ def _waivers_of(given: Mapping[str, str] | None) -> dict[str, str]:
         SpecError: They are no reasons by check.
     """
     example = "{'disk': 'another disk comes on Monday'}"
-    waivers = _mapping(given, "waivers", example)
+    waivers = values_by_name(given, "waivers", example)
     for check, reason in waivers.items():
         if not (isinstance(reason, str) and reason.strip()):
             raise SpecError(
                 f"the waiver of {check!r} gives no reason", hint=f"for example: waivers={example}"
             )
     return {check: reason.strip() for check, reason in waivers.items()}
-
-
-def _whole(given: int, what: str, least: int) -> int:
-    """A whole number.
-
-    Raises:
-        SpecError: It is none, or too small.
-    """
-    try:
-        number = index(given)
-    except TypeError:
-        number = least - 1
-    if number < least:
-        raise SpecError(
-            f"{what} is {given!r:.80}, not a whole number from {least} on",
-            hint=f"for example: {what}={max(least, 3)}",
-        )
-    return number
 
 
 def parse_parameters(texts: Iterable[str]) -> dict[str, Any]:

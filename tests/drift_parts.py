@@ -9,7 +9,7 @@ from synthetic_motion import GAINS, fourier, true_torque
 from test_identify_sources import layout
 
 from hil.arms.payload import Payload
-from hil.importers import import_file
+from hil.importers import import_recording
 
 SAMPLES, NOISE_A = 3000, 0.02
 COULOMB_J2_NM = 7.0
@@ -34,5 +34,5 @@ def probe(
     path = folder / f"{seed}-{noise}-{more_friction}-{load is not None}.csv"
     np.savetxt(path, np.column_stack([t, q, qd, current]), delimiter=",", fmt="%.12g")
     out = path.with_suffix(".mcap")
-    import_file(path, layout(), out=out)
+    import_recording(path, map_file=layout(), out=out)
     return out

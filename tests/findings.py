@@ -531,7 +531,7 @@ def registry_log(folder: Path) -> str:
     from synthetic_motion import moving, nominal
 
     from hil.estimators import estimator
-    from hil.models.registry import Registry
+    from hil.models.model_registry import Registry
 
     registry = Registry(folder / "whole")
     for number, seed in ((1, 3), (2, 4)):

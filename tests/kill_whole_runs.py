@@ -336,7 +336,7 @@ def after_run(folder: Path, again: list[str]) -> str:
 def after_registry(folder: Path, again: list[str]) -> str:
     """Look after a registration or a promotion that was killed."""
     from hil.models.log import read_log
-    from hil.models.registry import Registry
+    from hil.models.model_registry import Registry
 
     done(hil("models", "check", cwd=folder))
     registry = Registry(folder / "registry")

@@ -18,7 +18,7 @@ from hil.evaluation.fitting import usable_part
 from hil.importers.load import load_source
 from hil.maintenance.pipeline.stages import FOLDER
 from hil.maintenance.schedule.ledger import Ledger
-from hil.models.registry import Registry
+from hil.models.model_registry import Registry
 from hil.recording.rundir import RunDirectory
 
 SCRIPT = Path(__file__).with_name("pipeline_dies.py")

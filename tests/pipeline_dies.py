@@ -30,7 +30,7 @@ from hil.maintenance.schedule.clocks import VirtualClock
 from hil.maintenance.schedule.ledger import kept
 from hil.maintenance.schedule.loop import Scheduler
 from hil.maintenance.schedule.occasion import Occasion
-from hil.models.registry import Registry
+from hil.models.model_registry import Registry
 from hil.planning.experiment import Experiment
 from hil.spec.schedule import load_schedule_spec
 from hil.workflow.driver_check import check_driver

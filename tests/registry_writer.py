@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 from hil.core.errors import RegistryError
-from hil.models.registry import Registry
+from hil.models.model_registry import Registry
 
 
 def say(line: str) -> None:

@@ -16,8 +16,8 @@ from hil.cli.pruning import known_registries
 from hil.core.errors import RegistryError
 from hil.estimators import estimator
 from hil.models.facts import facts_of
+from hil.models.model_registry import Registry
 from hil.models.pointers import FILE, leave_pointer, pointed
-from hil.models.registry import Registry
 
 pytestmark = pytest.mark.quick
 

@@ -15,7 +15,7 @@ from hil.cli.output import fixed, print_table
 from hil.cli.study_tables import _means
 from hil.core.errors import DataError, RegistryError, SpecError
 from hil.estimators import estimator, load_model_file, save_model
-from hil.export.targets import export_model
+from hil.export.targets import written_as
 from hil.studies.result import Table
 
 
@@ -78,7 +78,7 @@ def test_what_holds_no_model_says_what_to_give(runs: Path) -> None:
 )
 def test_slips_of_an_export_are_told(to: str, out: str, words: str, runs: Path) -> None:
     with pytest.raises(SpecError) as told:
-        export_model(load_model_file(run_of(runs, 1)), Path(out), to)
+        written_as(load_model_file(run_of(runs, 1)), Path(out), to)
     assert words in f"{told.value.message}; {told.value.hint}"
     assert not Path(out).exists()
 

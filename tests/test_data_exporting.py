@@ -19,7 +19,7 @@ from hil.arms.payload import Payload
 from hil.cli.app import app
 from hil.core.errors import DataError, HilError, PluginError, RecordingError
 from hil.data.dataset import Dataset
-from hil.importers import import_file
+from hil.importers import import_recording
 from hil.importers.exporting import export_data
 from hil.importers.load import load_source
 from hil.planning.plan import LoadStep
@@ -87,7 +87,7 @@ def test_csv_comes_back_bit_for_bit(run: Path, data: Dataset, tmp_path: Path) ->
     told = export_data(run, tmp_path / "a.csv")
     with (tmp_path / "a.csv").open(newline="") as file:
         header, *lines = csv.reader(file)
-    assert header == list(told.columns)
+    assert header == told["columns"]
     found = {name: [line[i] for line in lines] for i, name in enumerate(header)}
     by_joint(data, found, lambda cells: np.array([float(x) if x else np.nan for x in cells]))
     assert found["temperature_1_c"].count("") == np.isnan(data["temperature"][:, 0]).sum() > 0
@@ -121,7 +121,7 @@ def test_parquet_comes_back_bit_for_bit(run: Path, data: Dataset, tmp_path: Path
 
 def test_hil_imports_what_it_exported(run: Path, data: Dataset, tmp_path: Path) -> None:
     export_data(run, tmp_path / "a.csv")
-    import_file(tmp_path / "a.csv", tmp_path / "a.map.yaml", out=tmp_path / "b.mcap")
+    import_recording(tmp_path / "a.csv", map_file=tmp_path / "a.map.yaml", out=tmp_path / "b.mcap")
     again, before = load_source(tmp_path / "b.mcap"), data.of_kind("trajectory")
     for name in ("t", "q", "qd", "effort", "q_target"):
         assert np.array_equal(again[name], before[name]), name
@@ -137,7 +137,7 @@ def test_loads_come_back_window_by_window(tmp_path: Path) -> None:
     plan = replace(fourier_plan(trajectories=1), loads=(LoadStep(load),))
     run = write_run(tmp_path / "runs", plan).path
     export_data(run, tmp_path / "a.csv")
-    import_file(tmp_path / "a.csv", tmp_path / "a.map.yaml", out=tmp_path / "b.mcap")
+    import_recording(tmp_path / "a.csv", map_file=tmp_path / "a.map.yaml", out=tmp_path / "b.mcap")
     (condition,) = load_source(tmp_path / "b.mcap").conditions
     assert condition.payload == load
 
@@ -145,9 +145,9 @@ def test_loads_come_back_window_by_window(tmp_path: Path) -> None:
 def test_of_dwells_there_is_no_map_and_it_is_told_why(tmp_path: Path) -> None:
     run = write_run(tmp_path / "runs", dwell_plan(poses=3)).path
     told = export_data(run, tmp_path / "a.csv")
-    assert told.notes == (
+    assert told["notes"] == [
         "no map for hil import: imported rows are trajectories, and there are none",
-    )
+    ]
     assert not (tmp_path / "a.map.yaml").exists()
     with (tmp_path / "a.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
@@ -157,11 +157,11 @@ def test_of_dwells_there_is_no_map_and_it_is_told_why(tmp_path: Path) -> None:
 def test_a_recording_alone_can_be_exported(run: Path, tmp_path: Path) -> None:
     import_export = tmp_path / "a.csv"
     export_data(run, import_export)
-    import_file(import_export, tmp_path / "a.map.yaml", out=tmp_path / "b.mcap")
+    import_recording(import_export, map_file=tmp_path / "a.map.yaml", out=tmp_path / "b.mcap")
     told = export_data(tmp_path / "b.mcap", tmp_path / "b.npz")
     with np.load(tmp_path / "b.npz") as found:
         about = json.loads(str(found["hil"]))
-    assert told.samples == about["series"][-1]["rows"][1]
+    assert told["samples"] == about["series"][-1]["rows"][1]
     assert (about["run"], about["source"], about["serial"]) == (None, "b.mcap", "S-1")
 
 

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 from hil.arms.payload import Payload
 from hil.cli.app import app
 from hil.core.errors import DataError, RecordingError, SpecError
-from hil.importers import ImportMap, import_file
+from hil.importers import ImportMap, import_recording
 from hil.importers.load import load_source, serial_of
 from hil.recording import read_info
 
@@ -64,7 +64,7 @@ def written(path, values, delimiter=",", header="", lines=None):
 
 def imported(path, map_, tmp_path, **options):
     out = tmp_path / "out.mcap"
-    import_file(path, map_, out=out, **options)
+    import_recording(path, map_file=map_, out=out, **options)
     return load_source(out)
 
 
@@ -156,7 +156,7 @@ def test_bad_rows_are_refused_with_line_numbers_counting_the_header(tmp_path) ->
     path = written(tmp_path / "run.csv", table(), header="t,q1,q2,w1,w2,i1,i2", lines=BAD)
     out = tmp_path / "out.mcap"
     with pytest.raises(DataError, match="4 of 30 rows make no sense") as caught:
-        import_file(path, layout(header=True), out=out)
+        import_recording(path, map_file=layout(header=True), out=out)
     for line, why in ((6, "q of joint 1 is nan"), (10, "e\\+111"), (13, "oops"), (21, "3 fields")):
         assert caught.match(rf"line {line}: .*{why}")
     assert "--drop-bad-rows" in caught.value.hint
@@ -167,8 +167,8 @@ def test_bad_rows_are_dropped_on_request_and_noted_in_the_output(tmp_path) -> No
     values = table()
     path = written(tmp_path / "run.csv", values, lines=BAD)
     out = tmp_path / "out.mcap"
-    report = import_file(path, layout(), out=out, drop_bad_rows=True)
-    assert (report.samples, report.dropped) == (26, (5, 9, 12, 20))
+    report = import_recording(path, map_file=layout(), out=out, drop_bad_rows=True)
+    assert (report["samples"], report["dropped_lines"]) == (26, [5, 9, 12, 20])
     kept = np.delete(values, [4, 8, 11, 19], axis=0)
     assert load_source(out)["q"] == pytest.approx(kept[:, 1:3])
     noted = read_info(out).metadata["import"]
@@ -194,19 +194,25 @@ def test_repeated_and_backward_time_stamps_are_bad_rows(tmp_path) -> None:
     values = table()
     values[10, 0] = values[9, 0]
     values[20, 0] = values[18, 0] - 0.001
-    report = import_file(
-        written(tmp_path / "run.csv", values), layout(), out=tmp_path / "o.mcap", drop_bad_rows=True
+    report = import_recording(
+        written(tmp_path / "run.csv", values),
+        map_file=layout(),
+        out=tmp_path / "o.mcap",
+        drop_bad_rows=True,
     )
-    assert report.dropped == (11, 21)
+    assert report["dropped_lines"] == [11, 21]
 
 
 def test_one_stamp_from_the_future_does_not_condemn_the_rows_after_it(tmp_path) -> None:
     values = table()
     values[10, 0] = 5000.0
-    report = import_file(
-        written(tmp_path / "run.csv", values), layout(), out=tmp_path / "o.mcap", drop_bad_rows=True
+    report = import_recording(
+        written(tmp_path / "run.csv", values),
+        map_file=layout(),
+        out=tmp_path / "o.mcap",
+        drop_bad_rows=True,
     )
-    assert report.dropped == (11,)
+    assert report["dropped_lines"] == [11]
 
 
 def test_limits_of_the_map_find_garbage_of_plausible_size(tmp_path) -> None:
@@ -219,13 +225,13 @@ def test_limits_of_the_map_find_garbage_of_plausible_size(tmp_path) -> None:
 def test_rows_of_another_pose_are_found_by_the_speed_limit(tmp_path) -> None:
     map_ = layout(columns=columns(qd={"columns": "4:5", "unit": "rad/s", "limit": 3}))
     lines = {15: "0.14,1.9,-1.2,0,0,1,1", 16: "0.15,1.9,-1.2,0,0,1,1"}
-    report = import_file(
+    report = import_recording(
         written(tmp_path / "run.csv", table(), lines=lines),
-        map_,
+        map_file=map_,
         out=tmp_path / "o.mcap",
         drop_bad_rows=True,
     )
-    assert report.dropped == (15, 16)
+    assert report["dropped_lines"] == [15, 16]
 
 
 def test_rows_option_counts_from_one_and_includes_both_ends(tmp_path) -> None:
@@ -331,7 +337,7 @@ def loads(data):
 
 def test_load_that_nobody_declared_is_said_to_count_as_none(tmp_path) -> None:
     path = written(tmp_path / "run.csv", table())
-    (note,) = import_file(path, layout(), out=tmp_path / "a.mcap").notes
+    (note,) = import_recording(path, map_file=layout(), out=tmp_path / "a.mcap")["notes"]
     assert note.startswith(NOTED)
     assert "--payload" in note
 
@@ -340,8 +346,8 @@ def test_declared_load_is_said(tmp_path) -> None:
     path = written(tmp_path / "run.csv", table())
     for mass in (0.0, 2.805):
         map_ = layout(payload={"mass_kg": mass})
-        report = import_file(path, map_, out=tmp_path / f"{mass}.mcap")
-        assert report.notes == (f"declared load: {mass:g} kg",)
+        report = import_recording(path, map_file=map_, out=tmp_path / f"{mass}.mcap")
+        assert report["notes"] == [f"declared load: {mass:g} kg"]
 
 
 def test_load_given_with_the_import_wins_over_the_maps(tmp_path) -> None:
@@ -359,28 +365,31 @@ def test_windows_may_have_loads_of_their_own(tmp_path) -> None:
         {"rows": "31:60", "payload": {"mass_kg": 2.805, "com_m": [0, 0, 0.1]}},
         {"rows": "61:90"},
     ]
-    report = import_file(path, layout(windows=windows), out=tmp_path / "out.mcap")
-    data = load_source(report.out)
+    report = import_recording(path, map_file=layout(windows=windows), out=tmp_path / "out.mcap")
+    data = load_source(report["out"])
     assert loads(data) == [(0, 0.0), (1, 2.805), (0, 0.0)]
     assert data.conditions[1].payload.com == (0, 0, 0.1)
-    assert "declared load of rows 31:60: 2.805 kg" in report.notes
-    assert any(note.startswith("no load declared for the other rows") for note in report.notes)
+    assert "declared load of rows 31:60: 2.805 kg" in report["notes"]
+    assert any(note.startswith("no load declared for the other rows") for note in report["notes"])
 
 
 def test_renamed_file_that_misses_its_window_is_noted(tmp_path) -> None:
     map_ = layout(windows=[{"file": "run*.csv", "rows": "5:20"}])
     path = written(tmp_path / "renamed.csv", table())
     note = "no window of the map matches renamed.csv: all rows used"
-    assert note in import_file(path, map_, out=tmp_path / "a.mcap").notes
-    assert note not in import_file(path, map_, out=tmp_path / "b.mcap", rows=(5, 20)).notes
+    assert note in import_recording(path, map_file=map_, out=tmp_path / "a.mcap")["notes"]
+    assert (
+        note
+        not in import_recording(path, map_file=map_, out=tmp_path / "b.mcap", rows=(5, 20))["notes"]
+    )
     path = written(tmp_path / "run1.csv", table())
-    assert note not in import_file(path, map_, out=tmp_path / "c.mcap").notes
+    assert note not in import_recording(path, map_file=map_, out=tmp_path / "c.mcap")["notes"]
 
 
 def test_serial_number_of_the_map_stays_with_the_recording(tmp_path) -> None:
     path = written(tmp_path / "run.csv", table())
-    report = import_file(path, layout(serial="2019-0815"), out=tmp_path / "out.mcap")
-    assert serial_of(report.out) == "2019-0815"
+    report = import_recording(path, map_file=layout(serial="2019-0815"), out=tmp_path / "out.mcap")
+    assert serial_of(report["out"]) == "2019-0815"
 
 
 def test_command_line_declares_the_load_and_says_so(tmp_path) -> None:

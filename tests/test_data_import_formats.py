@@ -7,7 +7,7 @@ from rosbags.typesys import Stores, get_typestore
 from scipy.io import savemat
 
 from hil.core.errors import DataError
-from hil.importers import ImportMap, import_file
+from hil.importers import ImportMap, import_recording
 from hil.importers.load import load_source
 
 pytestmark = pytest.mark.quick
@@ -34,7 +34,7 @@ def layout(format_, columns, **changes):
 
 def imported(path, map_, tmp_path, **options):
     out = tmp_path / "out.mcap"
-    report = import_file(path, map_, out=out, **options)
+    report = import_recording(path, map_file=map_, out=out, **options)
     return load_source(out), report
 
 
@@ -143,7 +143,7 @@ def test_bag_time_is_the_headers_or_the_logs(tmp_path) -> None:
     data, _ = imported(path, layout("ros2bag", BAG), tmp_path)
     assert data["t"] == pytest.approx(1.7e9 + T, abs=1e-6)
     logged = layout("ros2bag", BAG, stamp="log")
-    import_file(path, logged, out=tmp_path / "log.mcap")
+    import_recording(path, map_file=logged, out=tmp_path / "log.mcap")
     assert load_source(tmp_path / "log.mcap")["t"] == pytest.approx(1e-9 * LOGGED + T, abs=1e-6)
 
 
@@ -256,7 +256,7 @@ def test_interleaved_file_that_ends_within_a_sample_can_be_repaired(tmp_path) ->
     lines = (folder / "tau.txt").read_text().splitlines()
     (folder / "tau.txt").write_text("\n".join(lines[:-2]))
     _, report = imported(folder, layout("interleaved", INTERLEAVED), tmp_path, drop_bad_rows=True)
-    assert (report.samples, report.dropped) == (ROWS - 1, (ROWS,))
+    assert (report["samples"], report["dropped_samples"]) == (ROWS - 1, [ROWS])
 
 
 def test_quantities_from_several_csv_files_stand_side_by_side(tmp_path) -> None:
@@ -271,6 +271,6 @@ def test_quantities_from_several_csv_files_stand_side_by_side(tmp_path) -> None:
         },
     )
     data, report = imported(tmp_path / "pos.csv", map_, tmp_path, drop_bad_rows=True)
-    assert report.dropped == (ROWS,)
+    assert report["dropped_lines"] == [ROWS]
     assert data["effort"] == pytest.approx(EFFORT[:-1])
     assert data["t"] == pytest.approx(T[:-1])

@@ -13,7 +13,7 @@ from hil.estimators.gains_without_load import controller_gains
 from hil.estimators.payload_cross_validation import payload_halves
 from hil.estimators.rigid import RigidWls
 from hil.estimators.rigid_hysteresis import RigidHysteresis
-from hil.importers import import_file
+from hil.importers import import_recording
 from hil.importers.load import load_source
 
 ROOT = Path(__file__).parents[1]
@@ -38,7 +38,7 @@ def recording(tmp_path_factory):
     def imported(name: str) -> Dataset:
         out = folder / f"{name}.mcap"
         if not out.exists():
-            import_file(DATA / "ur10e" / f"ur-20_02_{name}.csv", MAP, out=out)
+            import_recording(DATA / "ur10e" / f"ur-20_02_{name}.csv", map_file=MAP, out=out)
         return load_source(out)
 
     return imported

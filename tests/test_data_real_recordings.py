@@ -12,7 +12,7 @@ from hil.dynamics import load_model
 from hil.estimators.rigid import RigidWls
 from hil.evaluation import evaluate
 from hil.evaluation.fitting import fit_sources
-from hil.importers import import_file
+from hil.importers import import_recording
 from hil.importers.load import load_source
 
 ROOT = Path(__file__).parents[1]
@@ -43,8 +43,11 @@ def ur10e(tmp_path_factory):
     def imported(windows):
         for name, rows in windows.items():
             out = folder / f"{name}.mcap"
-            import_file(
-                DATA / "ur10e" / f"{name}.csv", MAPS / "ur10e_columns.yaml", out=out, rows=rows
+            import_recording(
+                DATA / "ur10e" / f"{name}.csv",
+                map_file=MAPS / "ur10e_columns.yaml",
+                out=out,
+                rows=rows,
             )
             yield out
 
@@ -107,30 +110,32 @@ def test_ur10e_classical_methods_are_reproduced(
 def test_garbage_rows_are_refused_by_line_and_can_be_left_out(tmp_path) -> None:
     path = DATA / "ur10e" / "ur-19_09_27-11_32_02.csv"
     with pytest.raises(DataError, match="20 of 1139 rows") as caught:
-        import_file(path, MAPS / "ur10e_columns.yaml", out=tmp_path / "a.mcap")
+        import_recording(path, map_file=MAPS / "ur10e_columns.yaml", out=tmp_path / "a.mcap")
     assert caught.match("line 3: q of joint 2 is -1.612e\\+184 rad")
-    report = import_file(
-        path, MAPS / "ur10e_columns.yaml", out=tmp_path / "b.mcap", drop_bad_rows=True
+    report = import_recording(
+        path, map_file=MAPS / "ur10e_columns.yaml", out=tmp_path / "b.mcap", drop_bad_rows=True
     )
-    data = load_source(report.out)
-    assert len(data) == report.samples == 1119
+    data = load_source(report["out"])
+    assert len(data) == report["samples"] == 1119
     assert np.max(np.abs(np.diff(data["q"], axis=0))) < 0.05
 
 
 def test_windows_of_the_map_are_the_authors(tmp_path) -> None:
     name = "ur-20_02_10-30sec_12harm"
-    report = import_file(
-        DATA / "ur10e" / f"{name}.csv", MAPS / "ur10e_columns.yaml", out=tmp_path / "a.mcap"
+    report = import_recording(
+        DATA / "ur10e" / f"{name}.csv",
+        map_file=MAPS / "ur10e_columns.yaml",
+        out=tmp_path / "a.mcap",
     )
-    assert report.samples == 3691
-    assert len(load_source(report.out)) == 2876
+    assert report["samples"] == 3691
+    assert len(load_source(report["out"])) == 2876
 
 
 def test_ur10_seven_seconds_predict_the_next_seven(tmp_path) -> None:
     out = tmp_path / "ur10.mcap"
-    import_file(
+    import_recording(
         DATA / "ur10" / "ur10_exciting_trajectory_first_half.csv",
-        MAPS / "ur10_unisa.yaml",
+        map_file=MAPS / "ur10_unisa.yaml",
         out=out,
     )
     data = load_source(out)
@@ -152,7 +157,7 @@ def _rows(data, rows):
 
 def test_kr300_positions_velocities_and_torques_have_consistent_units(tmp_path) -> None:
     out = tmp_path / "kr300.mcap"
-    import_file(DATA / "kr300" / "traj_A_data.mat", MAPS / "kr300_mat.yaml", out=out)
+    import_recording(DATA / "kr300" / "traj_A_data.mat", map_file=MAPS / "kr300_mat.yaml", out=out)
     data = load_source(out)
     assert len(data) == 2501
     slope = np.gradient(data["q"], data["t"], axis=0)
@@ -165,9 +170,9 @@ def test_kr300_positions_velocities_and_torques_have_consistent_units(tmp_path) 
 
 def test_panda_files_are_put_together(tmp_path) -> None:
     out = tmp_path / "panda.mcap"
-    report = import_file(DATA / "panda", MAPS / "panda_interleaved.yaml", out=out)
+    report = import_recording(DATA / "panda", map_file=MAPS / "panda_interleaved.yaml", out=out)
     data = load_source(out)
-    assert report.samples == 20544
+    assert report["samples"] == 20544
     slope = np.gradient(data["q"], data["t"], axis=0)
     assert np.median(np.abs(slope - data["qd"])) < 0.05
     assert 1 / np.mean(np.diff(data["t"])) == pytest.approx(1000, rel=0.1)
@@ -175,9 +180,9 @@ def test_panda_files_are_put_together(tmp_path) -> None:
 
 def test_tx40_joints_are_behind_their_gears(tmp_path) -> None:
     out = tmp_path / "tx40.mcap"
-    report = import_file(DATA / "tx40", MAPS / "tx40_figaroh.yaml", out=out)
+    report = import_recording(DATA / "tx40", map_file=MAPS / "tx40_figaroh.yaml", out=out)
     data = load_source(out)
-    assert report.samples == 45000
+    assert report["samples"] == 45000
     assert data["q"][0] == pytest.approx([0, np.pi / 2, -np.pi / 2, 0, 0, 0], abs=1e-3)
     qd = np.gradient(data["q"], data["t"], axis=0)
     for joint in range(6):
@@ -187,8 +192,11 @@ def test_tx40_joints_are_behind_their_gears(tmp_path) -> None:
 def test_loaded_run_shows_the_load_it_was_not_told_about(ur10e, tmp_path) -> None:
     out = tmp_path / "load.mcap"
     name = "ur-20_02_19_14harm50secLoad"
-    import_file(
-        DATA / "ur10e" / f"{name}.csv", MAPS / "ur10e_columns.yaml", out=out, rows=(308, 5071)
+    import_recording(
+        DATA / "ur10e" / f"{name}.csv",
+        map_file=MAPS / "ur10e_columns.yaml",
+        out=out,
+        rows=(308, 5071),
     )
     robot = load_model("ur10e")
     model = RigidWls().fit(load_source(ur10e[1][0]), robot)

@@ -201,13 +201,15 @@ def test_the_command_tells_what_is_in_the_file(
 
 @pytest.mark.parametrize("load", [None, LOAD])
 def test_the_command_for_loads_tells_the_load_or_that_none_shows(model, load, tmp_path) -> None:
-    from hil.importers import import_file
+    from hil.importers import import_recording
 
     run = moving(5, load=load)
     t, q, qd, _ = fourier(5)
     np.savetxt(tmp_path / "run.csv", np.column_stack([t, q, qd, run["effort"]]), delimiter=",")
     (tmp_path / "map.yaml").write_text(MAP, "utf-8")
-    import_file(tmp_path / "run.csv", tmp_path / "map.yaml", out=tmp_path / "run.mcap")
+    import_recording(
+        tmp_path / "run.csv", map_file=tmp_path / "map.yaml", out=tmp_path / "run.mcap"
+    )
     folder = model.save(tmp_path / "model")
     done = CliRunner().invoke(
         app, ["payload", str(folder), str(tmp_path / "run.mcap")], catch_exceptions=False

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hil.control.brakes_fail import brakes_fail
-from hil.control.rest_pose import NEAREST, described, rest_poses
+from hil.control.rest_pose import NEAREST, described, least_loaded
 from hil.control.resting import RestingArm
 from hil.core.errors import PlanError
 from hil.dynamics import Box, CollisionModel, Environment, Plane, RobotModel
@@ -44,7 +44,7 @@ def pendulum(joints=1, low=-np.inf, high=np.inf, **other):
 @pytest.fixture(scope="module")
 def under_a_ceiling():
     arm = ur5(CEILING)
-    return arm, rest_poses(arm, near=np.radians([30.0, -60.0, 100.0, 0.0, 0.0, 0.0]))
+    return arm, least_loaded(arm, near=np.radians([30.0, -60.0, 100.0, 0.0, 0.0, 0.0]))
 
 
 def test_no_random_pose_is_better(under_a_ceiling) -> None:
@@ -72,33 +72,33 @@ def test_the_pose_nearest_to_one_costs_hardly_more_than_the_least(under_a_ceilin
 
 
 def test_an_upright_arm_loads_no_brake_and_tips_over() -> None:
-    best = rest_poses(ur5(Environment(table_z=0.0)))[0]
+    best = least_loaded(ur5(Environment(table_z=0.0)))[0]
     assert best.effort < 1e-4
     assert best.q == pytest.approx(UPRIGHT, abs=1e-3)
     assert best.fail.outcome == "tips"
 
 
 def test_an_arm_that_hangs_from_the_ceiling_stays() -> None:
-    best = rest_poses(ur5(Environment(table_z=0.0), gravity=(0.0, 0.0, 9.81)))[0]
+    best = least_loaded(ur5(Environment(table_z=0.0), gravity=(0.0, 0.0, 9.81)))[0]
     assert best.effort < 1e-4
     assert best.fail.outcome == "stays"
     assert best.fail.unstable == 0
 
 
 def test_where_only_some_rest_poses_are_stable_one_of_them_is_shown() -> None:
-    found = rest_poses(ur5(Environment(table_z=0.0), gravity=(9.81, 0.0, 0.0)))
+    found = least_loaded(ur5(Environment(table_z=0.0), gravity=(9.81, 0.0, 0.0)))
     assert "stays" in {pose.fail.outcome for pose in found}
 
 
 def test_the_same_arguments_give_the_same_poses() -> None:
-    first, second = (rest_poses(pendulum(joints=3, low=0.1, high=6.0), seed=3) for _ in range(2))
+    first, second = (least_loaded(pendulum(joints=3, low=0.1, high=6.0), seed=3) for _ in range(2))
     assert [pose.q.tolist() for pose in first] == [pose.q.tolist() for pose in second]
 
 
 def test_a_box_in_the_way_is_kept_clear_of() -> None:
     box = Box((0.0, 0.0, 0.9), (0.4, 0.4, 0.3), "lamp")
     arm = ur5(Environment(table_z=0.0, boxes=(box,)), clearance_m=0.05)
-    best = rest_poses(arm)[0]
+    best = least_loaded(arm)[0]
     assert best.clearance >= 0.05 - 1e-6
     assert arm.is_clear(UPRIGHT[None])[0] == np.False_
 
@@ -140,21 +140,21 @@ def test_stiffness_is_the_derivative_of_gravity() -> None:
 
 
 def test_endless_joints_without_collision_bodies_find_the_bottom() -> None:
-    best = rest_poses(pendulum(joints=2))[0]
+    best = least_loaded(pendulum(joints=2))[0]
     assert best.fail.outcome == "stays"
     assert np.cos(best.q[0]) == pytest.approx(1.0, abs=1e-6)
     assert best.clearance == np.inf
 
 
 def test_limits_are_kept() -> None:
-    best = rest_poses(pendulum(low=0.5, high=2.0))[0]
+    best = least_loaded(pendulum(low=0.5, high=2.0))[0]
     assert best.q == pytest.approx([0.5])
     assert best.fail.outcome == "falls"
 
 
 @pytest.mark.quick
 def test_free_joints_stay_where_they_are_wanted() -> None:
-    found = rest_poses(pendulum(joints=2), near=np.array([0.1, 1.25]))
+    found = least_loaded(pendulum(joints=2), near=np.array([0.1, 1.25]))
     assert all(pose.q[1] == pytest.approx(1.25) for pose in found)
 
 
@@ -171,7 +171,7 @@ def test_missing_torque_limits_are_refused_by_name() -> None:
 def test_no_clear_pose_is_an_error_that_says_how_far_off() -> None:
     shut_in = Box((0.0, 0.0, 0.5), (3.0, 3.0, 1.0), "cage")
     with pytest.raises(PlanError, match=r"50 mm clear; the roomiest .* cage"):
-        rest_poses(ur5(Environment(boxes=(shut_in,)), clearance_m=0.05))
+        least_loaded(ur5(Environment(boxes=(shut_in,)), clearance_m=0.05))
 
 
 def test_a_pose_that_is_not_clear_is_described_as_such() -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.importers import import_file, load_map
+from hil.importers import import_recording, load_map
 from hil.importers.import_map import ImportMap
 from hil.importers.load import load_source
 from hil.importers.units import QUANTITY_DIMENSIONS, units_of
@@ -81,7 +81,7 @@ def test_the_first_example_imports_the_file_shown_with_it(tmp_path: Path) -> Non
     (tmp_path / "map.yaml").write_text(blocks("yaml")[0], "utf-8")
     (tmp_path / "run.csv").write_text(blocks("csv")[0], "utf-8")
     out = tmp_path / "run.mcap"
-    import_file(tmp_path / "run.csv", tmp_path / "map.yaml", out=out)
+    import_recording(tmp_path / "run.csv", map_file=tmp_path / "map.yaml", out=out)
     data = load_source(out)
     assert data["t"] == pytest.approx([0.0, 0.01, 0.02])
     assert data["q"][0] == pytest.approx([0.1745329, -1.5707963])

@@ -16,8 +16,8 @@ from hil.core.errors import DataError, RegistryError
 from hil.estimators.model_writer import plain
 from hil.evaluation.fitting import fit_sources
 from hil.models.drift.history import PROBES_FILE, assess, identity, probes_of
+from hil.models.model_registry import Registry
 from hil.models.pointers import pointed
-from hil.models.registry import Registry
 
 MOTION = 30
 

@@ -16,7 +16,7 @@ from hil.core.errors import DataError
 from hil.evaluation.fitting import fit_sources
 from hil.models.drift.bands import Banded, banded
 from hil.models.drift.history import assess
-from hil.models.registry import Registry
+from hil.models.model_registry import Registry
 from hil.report import drift_figures as figures
 from hil.report.drift_page import drift_page, in_time
 

@@ -10,7 +10,7 @@ from json_models import fitted
 
 from hil.core.errors import DataError, HilError, RecordingError, SpecError
 from hil.export.exported import require_new
-from hil.export.targets import export_model
+from hil.export.targets import written_as
 
 
 def damaged(name: str, change):
@@ -31,21 +31,21 @@ def damaged(name: str, change):
 )
 def test_damaged_models_are_told_as_such(to, name, change, tmp_path) -> None:
     with pytest.raises(HilError):
-        export_model(damaged(name, change), tmp_path / "out", to)
+        written_as(damaged(name, change), tmp_path / "out", to)
     assert not (tmp_path / "out").exists()
 
 
 def test_it_says_what_is_wrong_with_the_numbers(tmp_path) -> None:
     model = damaged("coefficients_", lambda value: value * np.nan)
     with pytest.raises(DataError, match="nan cannot be a constant"):
-        export_model(model, tmp_path / "out", "c", unchecked=True)
+        written_as(model, tmp_path / "out", "c", unchecked=True)
 
 
 def test_an_option_that_is_not_taken_is_as_good_as_none(tmp_path) -> None:
-    export_model(fitted("rigid-wls"), tmp_path / "a.json", "json", unchecked=False)
+    written_as(fitted("rigid-wls"), tmp_path / "a.json", "json", unchecked=False)
     assert (tmp_path / "a.json").exists()
     with pytest.raises(SpecError, match="no option --unchecked"):
-        export_model(fitted("rigid-wls"), tmp_path / "b.json", "json", unchecked=True)
+        written_as(fitted("rigid-wls"), tmp_path / "b.json", "json", unchecked=True)
 
 
 def test_a_link_to_nothing_is_not_written_over(tmp_path) -> None:
@@ -58,4 +58,4 @@ def test_a_link_to_nothing_is_not_written_over(tmp_path) -> None:
 def test_a_name_that_no_file_can_have_is_told(to, tmp_path) -> None:
     options = {"unchecked": True} if to == "c" else {}
     with pytest.raises(RecordingError, match="cannot write"):
-        export_model(fitted("rigid-wls"), tmp_path / ("n" * 300), to, **options)
+        written_as(fitted("rigid-wls"), tmp_path / ("n" * 300), to, **options)

@@ -31,7 +31,7 @@ from hil.models.drift.history import identity
 from hil.models.fleet_fit_task import FitResult, How, fit_at, fit_learnt, learnt_of
 from hil.models.fleet_fitting import computed, fit_runs
 from hil.models.fleet_robot_fit import kept, registered
-from hil.models.registry import Registry
+from hil.models.model_registry import Registry
 from hil.spec.judged import ContradictedLimit, HoldOut, RmseLimit
 from hil.workflow.run import run_experiment
 

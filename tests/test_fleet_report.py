@@ -27,7 +27,7 @@ from hil.models.fleet_outliers import standing
 from hil.models.fleet_robot_fit import RobotFit, registered
 from hil.models.fleet_survey import Survey, survey_fleet
 from hil.models.fleet_surveyed import Surveyed
-from hil.models.registry import Registry
+from hil.models.model_registry import Registry
 from hil.report.fleet_page import fleet_page, standing_out
 from hil.report.render import page_html
 from hil.workflow.run import run_experiment

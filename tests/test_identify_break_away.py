@@ -7,7 +7,7 @@ import pytest
 from collision_parts import fitted
 
 from hil.control.brakes_fail import COUNTED
-from hil.control.rest_report import find_rest_poses
+from hil.control.rest_report import rest_poses
 from hil.estimators.friction.law import FrictionLaw
 from hil.estimators.friction.motion import Shapes
 from hil.estimators.standstill import holding_friction
@@ -77,7 +77,7 @@ def test_rest_poses_of_a_model_with_memory_know_what_its_joints_hold(tmp_path, m
     monkeypatch.setattr("hil.control.rest_search.STARTS", 4)
     monkeypatch.delenv("HIL_STATION", raising=False)
     model = fitted(5)
-    report = find_rest_poses(model.save(tmp_path / "model"), count=1)
+    report = rest_poses(model.save(tmp_path / "model"), count=1)
     assert report.friction == pytest.approx(model.break_away())
     assert not any("no dry friction" in note for note in report.notes)
     assert np.isfinite(report.poses[0].fail.spare).all()

@@ -16,7 +16,7 @@ from hil.cli.app import app
 from hil.core.errors import DataError, FitError, RecordingError, SpecError
 from hil.estimators.gains_file import read_gains, write_gains
 from hil.estimators.gains_without_load import controller_gains
-from hil.importers import import_file
+from hil.importers import import_recording
 from hil.importers.load import load_source
 
 pytestmark = pytest.mark.quick
@@ -96,7 +96,7 @@ def recording(tmp_path: Path) -> Path:
     np.savetxt(tmp_path / "log.csv", table, delimiter=",")
     (tmp_path / "map.yaml").write_text(MAP, "utf-8")
     out = tmp_path / "log.mcap"
-    import_file(tmp_path / "log.csv", tmp_path / "map.yaml", out=out)
+    import_recording(tmp_path / "log.csv", map_file=tmp_path / "map.yaml", out=out)
     return out
 
 
@@ -110,7 +110,7 @@ def test_a_log_without_those_columns_is_imported_without_them(recording: Path) -
     folder = recording.parent
     short = np.loadtxt(folder / "log.csv", delimiter=",")[:, :25]
     np.savetxt(folder / "short.csv", short, delimiter=",")
-    import_file(folder / "short.csv", folder / "map.yaml", out=folder / "short.mcap")
+    import_recording(folder / "short.csv", map_file=folder / "map.yaml", out=folder / "short.mcap")
     assert "torque_target" not in load_source(folder / "short.mcap").columns
 
 

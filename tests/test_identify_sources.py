@@ -7,10 +7,10 @@ import pytest
 from synthetic_motion import GAINS, LOAD, fourier, nominal, true_torque
 
 import hil
-from hil.arms.payload import Payload
+from hil.arms.payload import Payload, parse_payload
 from hil.core.errors import DataError, FitError, PluginError, SpecError
-from hil.evaluation.fitting import evaluate_sources, fit_sources, parse_payload
-from hil.importers import ImportMap, import_file
+from hil.evaluation.fitting import evaluate_sources, fit_sources
+from hil.importers import ImportMap, import_recording
 from hil.importers.load import load_source
 
 
@@ -46,7 +46,7 @@ def recording(folder, seed, *, load=None, name="", late_s=0.0, **changes):
     path = folder / f"{name or seed}.csv"
     np.savetxt(path, np.column_stack([t, q, qd, current]), delimiter=",", fmt="%.12g")
     out = path.with_suffix(".mcap")
-    import_file(path, layout(**changes), out=out)
+    import_recording(path, map_file=layout(**changes), out=out)
     return out
 
 

@@ -9,7 +9,7 @@ import pytest
 from hil.core.errors import DataError, SpecError
 from hil.core.neighbours import MOST_NAMED, neighbour_of, no_file
 from hil.dynamics.urdf import read_serial_arm
-from hil.importers.importer import import_file
+from hil.importers.importer import import_recording
 from hil.spec.load import load_spec
 
 MAPS = Path(__file__).parents[1] / "experiments" / "maps"
@@ -68,6 +68,6 @@ def test_a_log_to_import_that_is_not_there(tmp_path: Path) -> None:
     (tmp_path / "log.mat").touch()
     layout = MAPS / "kr300_mat.yaml"
     with pytest.raises(DataError) as caught:
-        import_file(Path("lgo.mat"), layout, out=tmp_path / "out.mcap")
+        import_recording(Path("lgo.mat"), map_file=layout, out=tmp_path / "out.mcap")
     assert caught.value.message == f"there is no file lgo.mat in {tmp_path}"
     assert caught.value.hint == "did you mean log.mat?"

@@ -17,7 +17,7 @@ from hil.core import plugins
 from hil.core.errors import SpecError
 from hil.estimators import estimator
 from hil.estimators.parameters import settings
-from hil.importers import import_file
+from hil.importers import import_recording
 from hil.networks.lagrangian.settings import NetworkSettings
 from hil.networks.training_loop.settings import TrainingSettings
 from hil.studies.base import study
@@ -174,7 +174,7 @@ def test_the_command_line_ends_with_the_documented_codes(
     rows[:, 1:7] = 0.3
     np.savetxt(tmp_path / "still.csv", rows, delimiter=",")
     still = tmp_path / "still.mcap"
-    import_file(tmp_path / "still.csv", layout(), out=still)
+    import_recording(tmp_path / "still.csv", map_file=layout(), out=still)
     for name in ("lagrangian", "residual"):
         asked = ("--estimator", name, "--out", tmp_path / "models")
         assert exit_code(monkeypatch, "fit", good, *asked, "--set", "seed=-1") == 2

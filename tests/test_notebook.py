@@ -19,7 +19,7 @@ from hil.evaluation.evaluation import Errors, Evaluation
 from hil.evaluation.fitting import FitReport, Fitted
 from hil.evaluation.validation import Validation
 from hil.models.compare import Comparison
-from hil.models.registry import Registry
+from hil.models.model_registry import Registry
 from hil.models.version import ModelVersion
 from hil.studies.result import StudyResult, Table
 from hil.workflow.run_report import RunReport

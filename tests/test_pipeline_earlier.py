@@ -13,7 +13,7 @@ from hil.maintenance.pipeline import earlier
 from hil.maintenance.pipeline.earlier import MOST, earlier_probes
 from hil.models.drift.features import Features
 from hil.models.drift.history import Probe
-from hil.models.registry import Registry
+from hil.models.model_registry import Registry
 
 
 def probe(folder: Path, day: int, champion: int = 1, *, changed: bool = False) -> Probe:

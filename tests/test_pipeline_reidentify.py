@@ -22,7 +22,7 @@ from hil.maintenance.pipeline.reidentify import Reidentification, as_it_is, reid
 from hil.maintenance.pipeline.stages import FOLDER
 from hil.maintenance.schedule.occasion import Job
 from hil.models.drift.bands import banded
-from hil.models.registry import Registry
+from hil.models.model_registry import Registry
 from hil.planning.experiment import Experiment
 from hil.spec.schedule import ScheduleSpec, load_schedule_spec
 

@@ -13,7 +13,7 @@ from synthetic_motion import moving, nominal
 from hil.core.errors import DataError, RegistryError
 from hil.estimators import estimator
 from hil.models.log import ALIASES_FILE, HEAD_FILE, LOG_FILE, Entry, append, read_log
-from hil.models.registry import Registry
+from hil.models.model_registry import Registry
 from hil.models.version import folder_of
 
 

@@ -16,7 +16,7 @@ from hil.cli.app import app
 from hil.core.errors import RegistryError, exit_code_of
 from hil.estimators import estimator
 from hil.models.log import ALIASES_FILE, HEAD_FILE, LOG_FILE, append_line
-from hil.models.registry import Registry
+from hil.models.model_registry import Registry
 
 Damage = Callable[[Path], None]
 
@@ -432,7 +432,7 @@ def test_a_kill_between_folder_and_line_is_no_damage(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("hil.models.registry.append", killed)
+        patch.setattr("hil.models.model_registry.append", killed)
         with pytest.raises(KeyboardInterrupt):
             registry.register("ur5", folders[2], {})
     assert registry.problem("ur5") is None

@@ -13,7 +13,7 @@ from synthetic_motion import moving, nominal
 
 from hil.estimators import estimator
 from hil.models.log import Aliases, read_log
-from hil.models.registry import Registry
+from hil.models.model_registry import Registry
 from hil.models.version import numbers_in
 
 KILLS = 8

@@ -15,7 +15,7 @@ from hil.cli.app import app
 from hil.core.errors import DataError, Rejected, SpecError
 from hil.evaluation.fitting import fit_sources
 from hil.models.facts import facts_of
-from hil.models.registry import Registry
+from hil.models.model_registry import Registry
 
 TRAINED, FRESH = (1, 2, 3), (11, 12, 13, 14)
 

@@ -16,7 +16,7 @@ from study_parts import bars, curve, result, six_panels
 
 import hil
 from hil.core.errors import DataError, PluginError, SpecError
-from hil.report.paper import items, write_papers
+from hil.report.paper import figures, items
 from hil.report.paper_figure import drawn
 from hil.report.paper_tables import csv_text, latex_text
 from hil.studies.result import Curve, Figure, Panel, Part, StudyResult, Table
@@ -153,13 +153,13 @@ def test_without_matplotlib_the_error_says_what_to_install(
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(PluginError, match="needs matplotlib, which is not installed") as caught:
-        write_papers(run, tmp_path)
+        figures(run, tmp_path)
     assert caught.value.hint == 'pip install "hil[paper]"'
 
 
 def test_a_run_without_studies_and_report_says_how_to_make_it(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="no report") as caught:
-        write_papers(tmp_path, tmp_path)
+        figures(tmp_path, tmp_path)
     assert caught.value.hint == f"make it first: hil report {tmp_path}"
 
 
@@ -168,4 +168,4 @@ def test_unknown_formats_and_widths_are_refused(
     run: Path, tmp_path: Path, formats: tuple[str, ...], width: str
 ) -> None:
     with pytest.raises(SpecError, match="there is no"):
-        write_papers(run, tmp_path, formats=formats, width=width)
+        figures(run, tmp_path, formats=formats, width=width)

@@ -17,7 +17,7 @@ from hil.core.errors import SpecError
 from hil.maintenance.pipeline.simulation import STAGES, conditions, noise_day
 from hil.maintenance.schedule.ledger import Ledger
 from hil.maintenance.schedule.occasion import Occasion
-from hil.models.registry import Registry
+from hil.models.model_registry import Registry
 from hil.report.simulation_page import simulation_page
 from hil.spec.schedule import ScheduleSpec, load_schedule_spec
 

@@ -16,7 +16,7 @@ from hil.dashboard.drawing import LEFT, RIGHT, WIDTH, timeline
 from hil.evaluation.fitting import fit_sources
 from hil.models.drift.history import PROBES_FILE, assess
 from hil.models.log import Entry
-from hil.models.registry import Registry
+from hil.models.model_registry import Registry
 
 pytestmark = pytest.mark.quick
 

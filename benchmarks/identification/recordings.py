@@ -16,7 +16,7 @@ from pathlib import Path
 from benchmarks.identification.parts import cut, thinned
 from hil.core.errors import DataError
 from hil.data.dataset import Dataset
-from hil.importers import import_file
+from hil.importers import import_recording
 from hil.importers.load import load_source
 
 _ROOT = Path(__file__).resolve().parents[2]
@@ -107,7 +107,7 @@ def imported(path: str, map_name: str) -> Dataset:
         raise DataError(f"there is no {source}", hint="set HIL_DATA to the folder of recordings")
     with tempfile.TemporaryDirectory() as scratch:
         out = Path(scratch) / "recording.mcap"
-        import_file(source, MAPS / f"{map_name}.yaml", out=out)
+        import_recording(source, map_file=MAPS / f"{map_name}.yaml", out=out)
         data = load_source(out)
     # The recording is gone: a series is known by the file it was imported from.
     conditions = tuple(replace(c, id=f"{source.stem}#{i}", source=source.stem)

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
+from typing import TypeAlias
+
+from hil.core import SpecError
 
 MASS_TOLERANCE_KG = 0.01
 COM_TOLERANCE_M = 0.005
@@ -39,3 +43,43 @@ class Payload:
     def is_empty(self) -> bool:
         """True when nothing is mounted."""
         return self.mass == 0.0
+
+
+AnyPayload: TypeAlias = str | float | Payload
+"""`MASS` or `MASS,X,Y,Z` [kg, m], the mass alone as a number [kg], or a `Payload`."""
+
+
+def payload_of(given: AnyPayload | None) -> Payload | None:
+    """Return a payload as public functions take it; a mass alone is at the flange's origin.
+
+    Returns:
+        None when nothing was said; of 0, that nothing is mounted.
+
+    Raises:
+        SpecError: It is none.
+    """
+    if given is None:
+        return None
+    if isinstance(given, Payload):
+        read = parse_payload(",".join(f"{number}" for number in (given.mass, *given.com)))
+        return replace(read, inertia=given.inertia)
+    return parse_payload(f"{given}")
+
+
+def parse_payload(text: str) -> Payload:
+    """Return the payload that `MASS` or `MASS,X,Y,Z` says, in kg and m.
+
+    Raises:
+        SpecError: It is neither.
+    """
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except (ValueError, AttributeError):
+        numbers = []
+    if len(numbers) not in (1, 4) or not all(map(math.isfinite, numbers)) or numbers[0] < 0:
+        raise SpecError(
+            f"the payload {text!r} is neither MASS nor MASS,X,Y,Z",
+            hint="for example: 2.8 or 2.8,0,0,0.05 (kg and m, in the flange frame)",
+        )
+    x, y, z = numbers[1:] or (0.0, 0.0, 0.0)
+    return Payload(numbers[0], (x, y, z))

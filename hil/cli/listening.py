@@ -44,8 +44,8 @@ def record(
     json: JsonFlag = False,
 ) -> None:
     """Record a robot that somebody else drives; Ctrl-C ends it, too. Nothing is commanded."""
+    from hil.arms import parse_payload
     from hil.engine import ignore_from_now_on
-    from hil.evaluation import parse_payload
     from hil.workflow import Wanted, listen
 
     wanted = Wanted(

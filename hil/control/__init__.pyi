@@ -5,7 +5,7 @@ from .low_pass import LowPass as LowPass
 from .predictor import Predictor as Predictor
 from .rest_pose import RestPose as RestPose
 from .rest_report import RestReport as RestReport
-from .rest_report import find_rest_poses as find_rest_poses
+from .rest_report import rest_poses as rest_poses
 from .trial.found import found as found
 from .trial.judged import improvement as improvement
 from .trial.judged import judged as judged

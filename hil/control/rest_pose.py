@@ -101,7 +101,7 @@ def described(arm: RestingArm, q: FloatArray, label: str) -> RestPose:
     )
 
 
-def rest_poses(
+def least_loaded(
     arm: RestingArm, *, near: FloatArray | None = None, count: int = 3, seed: int = 0
 ) -> tuple[RestPose, ...]:
     """Poses that load the brakes least, the best first; the same arguments give the same poses.

@@ -8,16 +8,15 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hil.arms import ArmDescription, Payload
+from hil.arms import AnyPayload, ArmDescription, Payload, payload_of
 from hil.control.rest_place import place_of
-from hil.control.rest_pose import RestPose, described, rest_poses
+from hil.control.rest_pose import RestPose, described, least_loaded
 from hil.control.resting import RestingArm
-from hil.core import FloatArray, PlanError, SpecError
+from hil.core import AnyPath, FloatArray, PlanError, SpecError, path_of, whole_number
 from hil.estimators import (
     RobotEstimator,
     gravity_torque,
@@ -96,12 +95,12 @@ class RestReport:
         }
 
 
-def find_rest_poses(
-    folder: Path,
+def rest_poses(
+    model: AnyPath,
     *,
-    station: Path | None = None,
+    station: AnyPath | None = None,
     robot: str | None = None,
-    payload: Payload | None = None,
+    payload: AnyPayload | None = None,
     clearance_mm: float | None = None,
     near_deg: Sequence[float] | None = None,
     count: int = 3,
@@ -111,54 +110,57 @@ def find_rest_poses(
     """The poses in which a model's arm loads its brakes least.
 
     Args:
-        folder: The model.
-        station: Says what stands around the arm; by default the one experiments here would use.
-        robot: Name in the station; by default its only robot of the model's kind.
-        payload: What is mounted.
+        model: Its folder.
+        station: Says what stands around the arm; by default the one experiments here would use,
+            or a table at its base.
+        robot: Name in the station; by default its only robot that is the model's.
+        payload: `MASS` or `MASS,X,Y,Z` [kg, m], a number [kg] or a `Payload` that is mounted.
         clearance_mm: Distance that is kept; by default the station's.
-        near_deg: (n,) where the arm would rather be, or stands now [°].
+        near_deg: Where the arm stands now, or would rather be [°].
         count: How many poses.
         seed: Of the search.
         unchecked: Leave clearance out, the only way for an arm without collision bodies.
 
     Raises:
-        FitError: The model has no gravity, or cannot tell torques.
-        SpecError: The station has no such robot or it is another arm, or an argument cannot be.
-        PlanError: No pose is within limits and clear.
         DataError: The model cannot be read.
+        FitError: The model has no gravity, or cannot tell torques.
+        SpecError: The robot is another arm, or an argument cannot be.
+        PlanError: No pose is within limits and clear.
     """
-    model = load_model_file(folder)
-    require_torque(model)
-    load = payload or Payload()
-    near = None if near_deg is None else _pose(near_deg, model)
-    place, around = place_of(model, station, robot)
+    folder, at = path_of(model), path_of(station) if station else None
+    load = payload_of(payload) or Payload()
+    count, seed = whole_number(count, "count", 1), whole_number(seed, "seed", 0)
+    stored = load_model_file(folder)
+    require_torque(stored)
+    near = None if near_deg is None else _pose(near_deg, stored)
+    place, around = place_of(stored, at, robot)
     clearance = place.surroundings.clearance_m if clearance_mm is None else 1e-3 * clearance_mm
     if not 0 <= clearance < np.inf:
         raise SpecError(
             f"a clearance of {1e3 * clearance:g} mm cannot be kept",
             hint="--clearance-mm takes 0 or more, and less than the arm is long",
         )
-    arm = None if unchecked else _described_arm(model, load)
+    arm = None if unchecked else _described_arm(stored, load)
     bodies = collision_model(arm, place.surroundings, [(load, None)]) if arm else None
     begin = time.perf_counter()
-    resting = _resting(model, load, bodies, clearance)
-    poses = rest_poses(resting, near=near, count=count, seed=seed)
+    resting = _resting(stored, load, bodies, clearance)
+    poses = least_loaded(resting, near=near, count=count, seed=seed)
     compared = [] if bodies is None else _home(resting, bodies)
     compared += [] if near is None else [described(resting, near, "given")]
     return RestReport(
         model=str(folder),
-        robot=model.robot_.arm.name if model.robot_.arm else model.robot_.name,
-        joint_names=model.joint_names_,
+        robot=stored.robot_.arm.name if stored.robot_.arm else stored.robot_.name,
+        joint_names=stored.joint_names_,
         around="unchecked" if unchecked else around,
         clearance_m=0.0 if unchecked else clearance,
         payload=load,
         limit=resting.limit,
         friction=resting.friction,
-        deviation=model.sigma_ * model.torque_scale_,
+        deviation=stored.sigma_ * stored.torque_scale_,
         poses=poses,
         compared=tuple(compared),
         seconds=time.perf_counter() - begin,
-        notes=tuple(_notes(model, resting, unchecked)),
+        notes=tuple(_notes(stored, resting, unchecked)),
     )
 
 

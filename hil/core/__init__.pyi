@@ -1,5 +1,11 @@
 from . import errors as errors
 from . import plugins as plugins
+from .arguments import AnyPath as AnyPath
+from .arguments import path_of as path_of
+from .arguments import paths_of as paths_of
+from .arguments import sources_of as sources_of
+from .arguments import values_by_name as values_by_name
+from .arguments import whole_number as whole_number
 from .dask_cluster import checked_address as checked_address
 from .dask_cluster import cluster as cluster
 from .durations import Duration as Duration

@@ -10,11 +10,10 @@ from .fitting import Fitted as Fitted
 from .fitting import evaluate_sources as evaluate_sources
 from .fitting import fit_dataset as fit_dataset
 from .fitting import fit_sources as fit_sources
-from .fitting import parse_payload as parse_payload
 from .fitting import usable_part as usable_part
 from .holdout import Parts as Parts
 from .holdout import hold_out as hold_out
-from .load_fit import payload_of_sources as payload_of_sources
+from .load_fit import estimate_payload as estimate_payload
 from .model_judgement import Judged as Judged
 from .model_judgement import judged_model as judged_model
 from .run_verdict import FailedFit as FailedFit

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from threadpoolctl import threadpool_limits
 
 from hil.arms import Payload
@@ -22,7 +21,6 @@ from hil.core import (
     FitError,
     FloatArray,
     RecordingError,
-    SpecError,
     card,
     number,
     require_installed,
@@ -249,25 +247,6 @@ def usable_part(dataset: Dataset, model: RobotEstimator) -> Dataset:
         f"{model.estimator} works on {wanted} data, but there is only {have}",
         hint="record the excitation it needs, or choose another estimator",
     )
-
-
-def parse_payload(text: str) -> Payload:
-    """`MASS` or `MASS,X,Y,Z` in kg and m.
-
-    Raises:
-        SpecError: It is neither.
-    """
-    try:
-        numbers = [float(part) for part in text.split(",")]
-    except (ValueError, AttributeError):
-        numbers = []
-    if len(numbers) not in (1, 4) or not np.all(np.isfinite(numbers)) or numbers[0] < 0:
-        raise SpecError(
-            f"the payload {text!r} is neither MASS nor MASS,X,Y,Z",
-            hint="for example: 2.8 or 2.8,0,0,0.05 (kg and m, in the flange frame)",
-        )
-    x, y, z = numbers[1:] or (0.0, 0.0, 0.0)
-    return Payload(numbers[0], (x, y, z))
 
 
 def _fit(

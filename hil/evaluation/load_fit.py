@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from hil.core import DataError, SpecError
+from hil.core import AnyPath, DataError, SpecError, path_of, paths_of
 from hil.data import Dataset
 from hil.dynamics import CALIBRATED_SHARE, GAIN_SHARE
 from hil.estimators import (
@@ -18,65 +18,71 @@ from hil.estimators import (
     PayloadEstimate,
     RobotEstimator,
     calibrated,
-    estimate_payload,
     estimate_payload_at_rest,
     load_model_file,
     require_friction,
     require_one_load,
 )
+from hil.estimators import estimate_payload as payload_in_motion
 from hil.evaluation.fitting import usable_part
 from hil.evaluation.validation import require_unseen, serial_notes
 from hil.importers import load_source
 
 
-def payload_of_sources(
-    model: Path,
-    sources: Sequence[Path],
-    friction: Friction | Literal["auto"] = "auto",
+def estimate_payload(
+    model: AnyPath,
+    sources: AnyPath | Iterable[AnyPath],
     *,
-    bare: Sequence[Path] = (),
+    friction: str = "auto",
+    bare: AnyPath | Iterable[AnyPath] = (),
     gain_share: float | None = None,
 ) -> PayloadEstimate:
-    """The load that was mounted in recordings, by a stored model of the arm.
+    """The load that was mounted in recordings, by a saved model of the arm.
 
+    A recording of an arm at rest tells mass and centre of mass, one of motion inertia as well.
     Where no source holds a trajectory, or the model knows only an arm at rest, the load is told by
     its weight alone (`estimate_payload_at_rest`).
 
     Args:
         model: Its folder.
-        sources: Runs or files recorded with the same load.
-        friction: See `estimate_payload`; at rest it is `auto`.
-        bare: At rest: the same program with nothing mounted, nor declared.
+        sources: Run directories or MCAP files recorded with that load, or just one.
+        friction: What of the model's friction may differ on that day: nothing (`model`), an
+            `offset` per joint, or an offset and a factor (`scale`); `auto` lets the recording
+            choose, by stretches that are left out in turn. At rest it is `auto`.
+        bare: At rest: the same program run with nothing mounted, nor declared; much smaller errors.
         gain_share: Standard deviation of a drive gain, as a share of it, for the errors; by default
-            what `usual_gain_share` says of the model.
+            what `usual_gain_share` says: 0.05, or 0.01 where they were calibrated (`hil gains`);
+            torques have none.
 
     Raises:
-        DataError: The model or a source cannot be read, they do not belong together, the model was
-            fitted to the source, or `bare` is one of the sources or declares a load.
+        DataError: A source cannot be read, is of another robot, or was fitted to; or
+            `bare` is one of the sources or declares a load.
         FitError: The recording does not tell the load.
-        SpecError: There is no such way to treat friction, or it or `bare` does not go with these.
+        SpecError: There is no such way to treat friction, or `bare` was given with motion.
     """
+    folder, recordings, bare_flange = path_of(model), paths_of(sources), paths_of(bare)
     require_friction(friction)
-    stored = load_model_file(model)
-    if not sources:
+    stored = load_model_file(folder)
+    if not recordings:
         raise DataError("no recording was given", hint="hil payload MODEL RECORDING")
-    whole = [load_source(source) for source in sources]
+    whole = [load_source(source) for source in recordings]
     at_rest = _at_rest(stored, whole)
-    _require_fitting_options(at_rest, friction, bare)
+    _require_fitting_options(at_rest, friction, bare_flange)
     parts = whole if at_rest else [usable_part(one, stored) for one in whole]
     data = Dataset.concatenate(parts)
     require_one_load(data)
-    for source, part in zip(sources, parts, strict=True):
+    for source, part in zip(recordings, parts, strict=True):
         require_unseen(stored, source, part)
     share = usual_gain_share(stored) if gain_share is None else gain_share
     with threadpool_limits(1):
         if at_rest:
-            tare = _tare(sources, bare) if bare else None
+            tare = _tare(recordings, bare_flange) if bare_flange else None
             found = estimate_payload_at_rest(stored, data, bare=tare, gain_share=share)
         else:
-            found = estimate_payload(stored, data, friction=friction).with_gains(share)
+            way = cast("Friction | Literal['auto']", friction)
+            found = payload_in_motion(stored, data, friction=way).with_gains(share)
     serial = stored.training_.serial if stored.training_ else ""
-    others = [note for one in (*sources, *bare) for note in serial_notes(serial, one)]
+    others = [note for one in (*recordings, *bare_flange) for note in serial_notes(serial, one)]
     notes = (*found.notes, *_notes(stored, data, gain_share))
     return replace(found, notes=notes, other_arm="; ".join(dict.fromkeys(others)))
 

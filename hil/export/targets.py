@@ -6,7 +6,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from hil.core import DataError, SpecError, did_you_mean
+from hil.core import AnyPath, DataError, SpecError, did_you_mean, path_of
 
 if TYPE_CHECKING:
     from hil.estimators import RobotEstimator
@@ -47,7 +47,37 @@ class Written(Protocol):
         """For `--json`."""
 
 
-def export_model(model: RobotEstimator, out: Path, to: str, **options: Any) -> Written:
+def export_model(
+    model: AnyPath,
+    out: AnyPath,
+    *,
+    to: str = "c",
+    prefix: str | None = None,
+    unchecked: bool | None = None,
+) -> Written:
+    """Write a saved model for other programs, compared with the model in Python first.
+
+    Args:
+        model: Its folder.
+        out: The file or folder to be made.
+        to: `c` and the other targets of `hil.export.targets`.
+        prefix: What files and symbols of C begin with; by default `hil`.
+        unchecked: Write C without a compiler to check it with, or a URDF however far off it is.
+
+    Raises:
+        DataError: The model cannot be read.
+        FitError: It is of a kind that cannot be written so, or what was written does not agree.
+        PluginError: Something it takes is not installed, such as a C compiler or cvxpy.
+        RecordingError: The file or folder exists already.
+        SpecError: There is no such target, or an option is none of it.
+    """
+    from hil.estimators import load_model_file
+
+    given = {"prefix": prefix, "unchecked": unchecked}
+    return written_as(load_model_file(path_of(model)), path_of(out), to, **given)
+
+
+def written_as(model: RobotEstimator, out: Path, to: str, **options: Any) -> Written:
     """Write a fitted model as one of `TARGETS`.
 
     Args:

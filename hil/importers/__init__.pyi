@@ -12,8 +12,8 @@ from .exporting import export_data as export_data
 from .import_map import ImportMap as ImportMap
 from .import_map import load_map as load_map
 from .import_map_schema import map_schema as map_schema
-from .importer import ImportReport as ImportReport
-from .importer import import_file as import_file
+from .importer import import_recording as import_recording
+from .load import dataset as dataset
 from .load import load_source as load_source
 from .load import require_arm_as_recorded as require_arm_as_recorded
 from .load import serial_of as serial_of

@@ -5,14 +5,22 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
 
-from hil.arms import Payload
-from hil.core import DataError, RecordingError, SpecError, did_you_mean, neighbour_of, no_file
+from hil.arms import AnyPayload, payload_of
+from hil.core import (
+    AnyPath,
+    DataError,
+    RecordingError,
+    SpecError,
+    did_you_mean,
+    neighbour_of,
+    no_file,
+    path_of,
+)
 from hil.importers.bag import read_bag
 from hil.importers.convert import convert
 from hil.importers.import_map import FileFormat, ImportMap, Window, load_map
@@ -34,68 +42,43 @@ KEPT_LINE_NUMBERS = 1000
 """Dropped lines that are listed in the output; their number is always given."""
 
 
-@dataclass(frozen=True, slots=True)
-class ImportReport:
-    """What an import did.
-
-    Attributes:
-        out: The MCAP written.
-        source: What was imported.
-        samples: Rows written.
-        dropped: Where the rows that were left out stand in the file.
-        place: What `dropped` counts: `line`, `message` or `sample`.
-        notes: For people.
-    """
-
-    out: Path
-    source: Path
-    samples: int
-    dropped: tuple[int, ...]
-    place: str
-    notes: tuple[str, ...]
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON form."""
-        return {
-            "out": str(self.out),
-            "source": str(self.source),
-            "samples": self.samples,
-            "dropped": len(self.dropped),
-            f"dropped_{self.place}s": list(self.dropped),
-            "notes": list(self.notes),
-        }
-
-
-def import_file(
-    path: Path,
-    map_: ImportMap | Path,
+def import_recording(
+    file: AnyPath,
     *,
-    out: Path,
+    map_file: AnyPath | ImportMap,
+    out: AnyPath,
     format_: str | None = None,
     rows: tuple[int, int] | None = None,
     drop_bad_rows: bool = False,
-    payload: Payload | None = None,
-) -> ImportReport:
-    """Turn a file into an MCAP with the base robot record.
+    payload: AnyPayload | None = None,
+) -> dict[str, Any]:
+    """Turn a recording of another tool into our MCAP.
 
     Args:
-        path: The file (or the folder of a bag or of files that belong together).
-        map_: What its columns are: an `ImportMap` or the path of its YAML.
+        file: What to import: a file, or the folder of a bag or of files that belong together.
+        map_file: YAML that says what its columns are, or an `ImportMap`.
         out: The MCAP to be made.
         format_: Overrides the map's format.
         rows: First and last row, counted from 1 without the header, both included; the map's
-            windows then do not apply.
-        drop_bad_rows: Leave bad rows out, with a note in the output, instead of refusing.
-        payload: What was mounted, instead of what the map says.
+            windows do not apply.
+        drop_bad_rows: Leave rows out that make no sense instead of refusing.
+        payload: `MASS` or `MASS,X,Y,Z` [kg, m], a number [kg] or a `Payload` that was mounted; 0
+            for nothing; by default what the map says.
+
+    Returns:
+        `out`, `source`, `samples`, `dropped` (how many rows), where these stand
+        (`dropped_lines`, `dropped_messages` or `dropped_samples`), `notes`.
 
     Raises:
-        SpecError: The map is not valid.
-        DataError: The file cannot be read, or rows make no sense.
+        SpecError: The map or the payload is not valid.
+        DataError: The file holds rows that make no sense (with their line numbers).
         RecordingError: The output exists already, its folder does not, or it cannot be written.
     """
-    layout = map_ if isinstance(map_, ImportMap) else load_map(map_)
+    path, out = path_of(file), path_of(out)
+    load = payload_of(payload)
+    layout = map_file if isinstance(map_file, ImportMap) else load_map(path_of(map_file))
     layout = _with_format(layout, format_)
-    layout = layout if payload is None else layout.with_payload(payload)
+    layout = layout if load is None else layout.with_payload(load)
     if not path.exists():
         raise DataError(no_file(path), hint=neighbour_of(path, [path.suffix.casefold()]))
     _require_place(out)
@@ -114,7 +97,14 @@ def import_file(
     notes = [*_dropped_notes(samples, dropped), *_load_notes(layout, windows)]
     if rows is None:
         notes += _window_notes(path.name, layout, windows, int(np.sum(segments >= 0)))
-    return ImportReport(out, path, len(good), tuple(dropped), samples.place, tuple(notes))
+    return {
+        "out": str(out),
+        "source": str(path),
+        "samples": len(good),
+        "dropped": len(dropped),
+        f"dropped_{samples.place}s": dropped,
+        "notes": notes,
+    }
 
 
 def _require_place(out: Path) -> None:

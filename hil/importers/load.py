@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from hil.arms import Payload, require_same_arm
-from hil.core import DataError, StructArray, read_json
+from hil.core import AnyPath, DataError, StructArray, read_json, sources_of
 from hil.data import FOUND_FILE, SAMPLES_PER_DWELL, UPRIGHT, Dataset, FoundSteps, SeriesKind
 from hil.importers.completeness import base_record, dwell_is_over, rows_of
 from hil.importers.described import (
@@ -81,6 +81,23 @@ def load_source(
         require_arm_as_recorded(source, gone=True)
     found = _from_run(source, wanted) if source.is_dir() else _from_file(source, wanted)
     return replace(found, gravity=gravity_of(source))
+
+
+def dataset(*sources: AnyPath | Iterable[AnyPath]) -> Dataset:
+    """The samples of run directories or MCAP files, with their conditions.
+
+    Args:
+        sources: One or more, or lists of them, of one robot and one kind of effort.
+
+    Returns:
+        Columns of N rows by name: `t` (N,) [s]; `q` (N, n) [rad], `qd` (N, n) [rad/s], `effort`
+        (N, n) [A or N·m] and what else was recorded.
+
+    Raises:
+        DataError: None was given, one cannot be read, or they are of different robots.
+        SpecError: One is no path.
+    """
+    return Dataset.concatenate([load_source(source) for source in sources_of(*sources)])
 
 
 def gravity_of(source: Path) -> tuple[float, float, float]:

@@ -10,7 +10,7 @@ from .fleet.run import run_fleet as run_fleet
 from .fleet.workers import Manner as Manner
 from .pipeline.bound import bind as bind
 from .pipeline.bound import bind_file as bind_file
-from .pipeline.by_hand import run_once as run_once
+from .pipeline.by_hand import reidentify as reidentify
 from .pipeline.reidentify import reidentification as reidentification
 from .pipeline.simulation import require_mock as require_mock
 from .pipeline.simulation import simulate as simulate

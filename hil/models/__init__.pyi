@@ -38,10 +38,11 @@ from .log import Entry as Entry
 from .log import append_line as append_line
 from .log import read_lines as read_lines
 from .log import read_log as read_log
+from .model_registry import Registry as Registry
+from .model_registry import registry as registry
 from .pointers import pointed as pointed
 from .promotion import challenge as challenge
 from .promotion import require_promoted as require_promoted
-from .registry import Registry as Registry
 from .version import ModelVersion as ModelVersion
 from .version import numbers_in as numbers_in
 from .version import read_version as read_version

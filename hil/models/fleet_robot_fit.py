@@ -12,7 +12,7 @@ from hil.estimators import write_whole
 from hil.evaluation import VerdictWord, verdict_word
 from hil.models.facts import facts_of
 from hil.models.fleet_fit_task import FitResult
-from hil.models.registry import Registry
+from hil.models.model_registry import Registry
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ from hil.models.fleet_folder import MODELS, FleetFolder, completed
 from hil.models.fleet_outliers import FAMILY_WISE, Standing, standing
 from hil.models.fleet_robot_fit import robot_of
 from hil.models.fleet_surveyed import Surveyed, surveyed
-from hil.models.registry import Registry
+from hil.models.model_registry import Registry
 
 
 @dataclass(frozen=True, slots=True, eq=False)

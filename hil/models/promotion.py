@@ -11,7 +11,7 @@ from hil.core import Rejected
 from hil.evaluation import Criterion, Verdict, evaluate, judge
 from hil.models.compare import Comparison, compare_sources, unseen_parts
 from hil.models.days import Days, over_days
-from hil.models.registry import Registry
+from hil.models.model_registry import Registry
 from hil.models.version import ModelVersion
 
 

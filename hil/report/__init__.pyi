@@ -24,7 +24,7 @@ from .measure_text import measure as measure
 from .measure_text import measures as measures
 from .measure_text import named as named
 from .measure_text import size as size
-from .paper import write_papers as write_papers
+from .paper import figures as figures
 from .plan_figure import picture_of as picture_of
 from .plan_figure import plan_picture as plan_picture
 from .plan_in_notebook import plan_card as plan_card

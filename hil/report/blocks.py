@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, TypeAlias
 
-from hil.report.figures import Figure
+from hil.report.plotly_figures import Figure
 from hil.report.words import UNKNOWN
 
 Mark = Literal["", "pass", "fail", "warn", "quiet"]

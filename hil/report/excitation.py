@@ -8,7 +8,7 @@ import numpy as np
 
 from hil.core import FloatArray, IntArray
 from hil.data import Dataset
-from hil.report import figures
+from hil.report import plotly_figures as figures
 from hil.report.blocks import Block, Facts, Panel, Plots, Section, items
 from hil.report.documents import as_float, as_index, as_object
 from hil.report.facts import RunFacts

@@ -11,7 +11,7 @@ from hil.excitation import Appraisal, Limits, Trajectory
 from hil.report import colours
 from hil.report.blocks import Panel
 from hil.report.decimate import decimated
-from hil.report.figures import Figure
+from hil.report.plotly_figures import Figure
 from hil.report.traces import Trace, axes, line, markers
 
 DEGREES = 180 / np.pi

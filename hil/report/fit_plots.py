@@ -9,10 +9,11 @@ import numpy as np
 
 from hil.core import FloatArray
 from hil.data import Conditions
-from hil.report import colours, figures
+from hil.report import colours
+from hil.report import plotly_figures as figures
 from hil.report.blocks import Panel, Plots
-from hil.report.figures import Figure
 from hil.report.fit_facts import FitFacts
+from hil.report.plotly_figures import Figure
 from hil.report.predictions import Dwells, Motions
 from hil.report.words import joint_title, number, quantity
 

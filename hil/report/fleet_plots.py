@@ -8,7 +8,7 @@ from hil.core import BoolArray, FloatArray
 from hil.models import Standing, Survey
 from hil.report import colours
 from hil.report.blocks import Panel, Plots
-from hil.report.figures import Figure
+from hil.report.plotly_figures import Figure
 from hil.report.traces import axes, line, markers
 from hil.report.words import joint_title
 

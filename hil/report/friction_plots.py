@@ -8,10 +8,10 @@ from hil.core import FloatArray
 from hil.report import colours
 from hil.report.blocks import Panel, Plots
 from hil.report.decimate import binned, thinned
-from hil.report.figures import CLOUD, Figure
 from hil.report.fit_facts import FitFacts
 from hil.report.friction_seen import AtRest, Friction, InMotion, Law
 from hil.report.friction_words import SIDES, lead, sides
+from hil.report.plotly_figures import CLOUD, Figure
 from hil.report.traces import Trace, axes, line, markers
 from hil.report.words import joint_title, number
 

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from hil.core import FloatArray
-from hil.report import colours, figures
+from hil.report import colours
+from hil.report import plotly_figures as figures
 from hil.report.blocks import Block, Column, Facts, Panel, Plots, Section, Table, cells, items
 from hil.report.decimate import Shown
 from hil.report.documents import as_float

@@ -10,8 +10,8 @@ from hil.networks import Curves
 from hil.report import colours
 from hil.report.blocks import Panel, Plots
 from hil.report.documents import as_object
-from hil.report.figures import Figure
 from hil.report.fit_facts import FitFacts
+from hil.report.plotly_figures import Figure
 from hil.report.traces import axes, line, markers
 from hil.report.words import number
 

@@ -12,7 +12,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypeAlias, get_args
 
-from hil.core import DataError, PluginError, RecordingError, SpecError, plugins, write_replacing
+from hil.core import (
+    AnyPath,
+    DataError,
+    PluginError,
+    RecordingError,
+    SpecError,
+    path_of,
+    plugins,
+    write_replacing,
+)
 from hil.report.page_figures import PagePlots, figures_of
 from hil.report.paper_figure import drawn
 from hil.report.paper_plots import drawn_plots
@@ -44,17 +53,18 @@ class Item:
     what: Table | Figure
 
 
-def write_papers(
-    run: Path, out: Path, *, formats: Sequence[str] = ("pdf",), width: str = "column"
+def figures(
+    run: AnyPath, out: AnyPath, *, formats: Sequence[str] = ("pdf",), width: str = "column"
 ) -> list[Path]:
-    """Write every figure of a run or a page into a folder; files there are replaced.
+    """Write the figures of a run or a page, and tables of studies, as files for papers.
 
     A figure of a study becomes `<key>.pdf` and the like, a table `<key>.csv` and `<key>.tex`, a
     figure of the page `<section>-<title>.pdf`; `contents.md` holds titles, captions and notes.
+    Files that are there are replaced.
 
     Args:
         run: The run directory, or an HTML page that hil wrote.
-        out: The folder; made when missing.
+        out: Folder for the files; made when missing.
         formats: Of the figures: `pdf`, `svg`, `png`.
         width: `column` (88 mm) or `page` (181 mm).
 
@@ -67,6 +77,7 @@ def write_papers(
         SpecError: There is no such format or width.
         RecordingError: The folder cannot be written to.
     """
+    run, out = path_of(run), path_of(out)
     _require(formats, get_args(Format), "format")
     _require((width,), get_args(Width), "width")
     results = [read_study(path) for path in study_files(run)] if run.is_dir() else []

@@ -7,7 +7,7 @@ from html import escape
 
 import numpy as np
 
-from hil.report import figures as plotly_figures
+from hil.report import plotly_figures
 from hil.report.blocks import Panel as Plot
 from hil.report.blocks import Plots
 from hil.report.study_curves import (

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hil.core import DataError, RecordingError, did_you_mean, json_document, write_once
+from hil.core import (
+    AnyPath,
+    DataError,
+    RecordingError,
+    did_you_mean,
+    json_document,
+    path_of,
+    write_once,
+)
 from hil.importers.exporting.files import csv_file, npz_file, parquet_file
 from hil.importers.exporting.import_map import import_map, why_no_map
 from hil.importers.exporting.table import Table, table_of
 from hil.importers.load import load_source
 
-__all__ = ["Exported", "export_data"]
+__all__ = ["export_data"]
 
 WRITERS: dict[str, Callable[[Path, Table], None]] = {
     ".parquet": parquet_file,
@@ -22,51 +29,25 @@ WRITERS: dict[str, Callable[[Path, Table], None]] = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Exported:
-    """What was written.
+def export_data(source: AnyPath, out: AnyPath) -> dict[str, Any]:
+    """Write the samples of a run for other programs: one row each, nothing rounded.
 
-    Attributes:
-        files: The first holds the samples.
-        samples: Rows.
-        series: Trajectories, dwells and moves they are of.
-        columns: Names, as in the file.
-        notes: For people.
-    """
-
-    files: tuple[Path, ...]
-    samples: int
-    series: int
-    columns: tuple[str, ...]
-    notes: tuple[str, ...]
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON form."""
-        return {
-            "files": [str(file) for file in self.files],
-            "samples": self.samples,
-            "series": self.series,
-            "columns": list(self.columns),
-            "notes": list(self.notes),
-        }
-
-
-def export_data(source: Path, out: Path) -> Exported:
-    """Write the samples of a run or a recording: one row each, with what the robot did then.
-
-    The rows are those that `hil.importers.load.load_source` gives: usable ones, each step as it was
-    recorded last. Nothing is rounded.
+    The rows are those that `hil.dataset` gives: usable ones, each step as it was recorded last.
 
     Args:
         source: Run directory or MCAP file.
         out: `….parquet`, `….csv` or `….npz`; a CSV file gets `….json`, where it comes from, and
             `….map.yaml`, with which `hil import` reads it, beside it.
 
+    Returns:
+        `files`, `samples`, `series`, `columns`, `notes`.
+
     Raises:
         DataError: The source cannot be read, or no format is called so.
         PluginError: Parquet without pyarrow.
         RecordingError: A file is there already, or cannot be written.
     """
+    source, out = path_of(source), path_of(out)
     write = WRITERS.get(out.suffix.lower())
     if write is None:
         raise DataError(
@@ -82,12 +63,17 @@ def export_data(source: Path, out: Path) -> Exported:
     dataset = load_source(source, any_arm=True)
     table = table_of(dataset, source)
     write(out, table)
-    notes: tuple[str, ...] = ()
+    notes: list[str] = []
     if write is csv_file:
         write_once(files[1], json_document(table.about))
         if why := why_no_map(dataset):
-            notes, files = (f"no map for hil import: {why}",), files[:2]
+            notes, files = [f"no map for hil import: {why}"], files[:2]
         else:
             write_once(files[2], import_map(dataset, table).encode())
-    names = tuple(name for name, _, _ in table.flat())
-    return Exported(tuple(files), len(dataset), len(dataset.conditions), names, notes)
+    return {
+        "files": [str(file) for file in files],
+        "samples": len(dataset),
+        "series": len(dataset.conditions),
+        "columns": [name for name, _, _ in table.flat()],
+        "notes": notes,
+    }

@@ -7,6 +7,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
+from hil.core import AnyPath, path_of
 from hil.engine import Observer
 from hil.maintenance.pipeline.bound import bind_file
 from hil.maintenance.pipeline.reidentify import reidentification
@@ -23,34 +24,61 @@ BY_HAND = "by-hand"
 """Below the schedule's state: occasions that somebody asked for."""
 
 
-def run_once(
-    path: Path,
+def reidentify(
+    schedule: AnyPath,
     *,
-    station: Path | None,
-    runs: Path,
-    registry: Path,
-    state: Path | None,
-    campaign: bool,
+    station: AnyPath | None = None,
+    runs: AnyPath = "runs",
+    registry: AnyPath = "registry",
+    state: AnyPath | None = None,
+    campaign: bool = False,
     observers: Sequence[Observer] = (),
-    tell: Callable[[str], object] = lambda text: None,
+    tell: Callable[[str], object] | None = None,
 ) -> dict[str, Any]:
-    """Probe, and identify anew if that is due; see `hil.api.reidentify`."""
-    bound = bind_file(path, station)
+    """Do once, now, what a schedule is about; goes on with what was cut off not too long ago.
+
+    Args:
+        schedule: Its file.
+        station: In place of the one it names.
+        runs: Where run directories are kept.
+        registry: Where the champion is, and challengers go.
+        state: Folder of the schedule; by default `schedules/NAME`.
+        campaign: Run the full program whatever the probe says.
+        observers: Receive progress events of the runs, each on its own thread.
+        tell: Told what is begun, in a few words.
+
+    Returns:
+        `outcome` (`quiet`, `drift`, `promoted`, `kept`), `text`, `name`, `champion`, `before`,
+        `challenger`, `drift`, `decision`, `errors`, `runs`, `folder`: see docs/reference/files.md.
+
+    Raises:
+        SpecError: With every problem of the schedule and the files it names.
+        DataError: Another process does the same now.
+        HilError: What keeps a stage from its end; the next call goes on there.
+    """
+    file, at = path_of(schedule), path_of(station) if station else None
+    bound = bind_file(file, at)
     for experiment in bound.experiments:
         require_extras(experiment.spec)
-    confirm = require_armed(bound.moves(path), state or STATES / bound.spec.name)
+    of_schedule = path_of(state) if state else STATES / bound.spec.name
+    confirm = require_armed(bound.moves(file), of_schedule)
     job: Job = "campaign" if campaign or bound.probe is None else "probe"
-    home = (state or STATES / bound.spec.name) / BY_HAND
+    home = of_schedule / BY_HAND
+    report = tell or _unheard
     work = reidentification(
-        bound.spec, registry=Registry(registry), runs=runs, station=station,
-        observers=observers, confirm=confirm, tell=lambda stage: tell(f"stage: {stage}"),
+        bound.spec, registry=Registry(path_of(registry)), runs=path_of(runs), station=at,
+        observers=observers, confirm=confirm, tell=lambda stage: report(f"stage: {stage}"),
     )  # fmt: skip
     with kept(home, bound.spec.name):
         occasion = _left(home, job, bound.spec.missed_within)
         if occasion is not None:
-            tell(f"going on with {home / occasion.id}")
+            report(f"going on with {home / occasion.id}")
         occasion = occasion or _new(home, job)
         return dict(work(occasion, home / occasion.id)) | {"folder": str(home / occasion.id)}
+
+
+def _unheard(text: str) -> None:
+    """Report to nobody."""
 
 
 def _new(home: Path, job: Job) -> Occasion:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from hil.core import FloatArray
 from hil.models.drift.chart import Charted, charted
 from hil.models.drift.history import Probe, probes_of, quiet_like
-from hil.models.registry import Registry
+from hil.models.model_registry import Registry
 
 
 @dataclass(frozen=True, slots=True, eq=False)

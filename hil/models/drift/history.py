@@ -25,8 +25,8 @@ from hil.models.drift.causes import Cause, causes, told
 from hil.models.drift.chart import FALSE_ALARM, Charted, charted
 from hil.models.drift.features import Features, features_of
 from hil.models.log import append_line, read_lines
+from hil.models.model_registry import Registry
 from hil.models.pointers import leave_pointer
-from hil.models.registry import Registry
 from hil.models.registry_lock import writing
 
 PROBES_FILE = "probes.jsonl"

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from hil.core import RegistryError, SpecError, card, closest
+from hil.core import AnyPath, RegistryError, SpecError, card, closest, path_of
 from hil.estimators import RobotEstimator, load_model_file
 from hil.models.facts import facts_of
 from hil.models.log import (
@@ -50,6 +50,15 @@ FEW = 5
 """Names that a hint lists."""
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}\Z")
+
+
+def registry(folder: AnyPath = "registry") -> Registry:
+    """Models under names, in versions: who is champion, who was, and why.
+
+    Args:
+        folder: Made when something is registered.
+    """
+    return Registry(path_of(folder))
 
 
 class Registry:
