@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -18,21 +18,24 @@ from hil.cli.output import (
 )
 from hil.cli.registry import HERE, RegistryOption
 
+if TYPE_CHECKING:
+    from hil.core import Source
+
 
 def register(app: typer.Typer) -> None:
     """Add this group's verb."""
     app.command()(reidentify)
 
 
-def validate_schedule(path: Path, station: Path | None, json: bool) -> None:
+def validate_schedule(source: Source, station: Path | None, json: bool) -> None:
     """Check a schedule with everything it names; all problems at once."""
     from hil.maintenance import bind_file
     from hil.workflow import missing_extras
 
-    bound = bind_file(path, station)
+    bound = bind_file(source, station)
     missing = dict.fromkeys(told for one in bound.experiments for told in missing_extras(one.spec))
     told = {
-        "schedule": str(path),
+        "schedule": source.name,
         "name": bound.spec.name,
         "model": bound.name,
         "estimator": bound.fit.estimator,
@@ -46,7 +49,7 @@ def validate_schedule(path: Path, station: Path | None, json: bool) -> None:
     if json:
         print_json(told)
         return
-    typer.echo(f"{path}: valid (models of {bound.name}, {bound.fit.estimator})")
+    typer.echo(f"{source.name}: valid (models of {bound.name}, {bound.fit.estimator})")
     for each in bound.experiments:
         typer.echo(f"  {each.title}")
     print_warnings(missing)

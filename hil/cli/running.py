@@ -55,7 +55,7 @@ def run(
     if is_series(source):
         refuse_set(set_, "a series")
         series.run_series(
-            spec,
+            source,
             station,
             runs,
             part,

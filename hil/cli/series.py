@@ -14,6 +14,7 @@ from hil.cli.runs import fail, tell_run
 from hil.core import HilError
 
 if TYPE_CHECKING:
+    from hil.core import Source
     from hil.planning import Commissioning, Experiment
     from hil.runs import SeriesFolder
     from hil.workflow import Moves, RunReport, Series, SeriesReport
@@ -25,38 +26,38 @@ Begin = Callable[["Experiment"], "RunReport"]
 Resume = Callable[[Path], "RunReport"]
 
 
-def validate_series(path: Path, station: Path | None, json: bool) -> None:
+def validate_series(source: Source, station: Path | None, json: bool) -> None:
     """Check a series with everything it names; all problems at once."""
     from hil.workflow import Moves, check_driver, load_series, missing_extras
 
-    series = load_series(path, station)
+    series = load_series(source, station)
     for experiment in series.experiments:
         check_driver(experiment)
-    Moves(path, series.spec.robots, _places(series.experiments)).real()
+    Moves(series.source, series.spec.robots, _places(series.experiments)).real()
     missing = dict.fromkeys(told for one in series.experiments for told in missing_extras(one.spec))
     facts = [
         {"spec": each.spec_source, "name": each.spec.name, "station": each.station_source}
         for each in series.experiments
     ]
     if json:
-        told = {"series": str(path), "name": series.spec.name, "runs": facts, "valid": True}
+        told = {"series": source.name, "name": series.spec.name, "runs": facts, "valid": True}
         print_json({**told, "warnings": list(missing)})
         return
-    typer.echo(f"{path}: valid ({len(facts)} experiments)")
+    typer.echo(f"{source.name}: valid ({len(facts)} experiments)")
     for each in series.experiments:
         typer.echo(f"  {each.title}")
     print_warnings(missing)
 
 
 def plan_series(
-    path: Path, station: Path | None, part: Commissioning | None, connect: bool, json: bool
+    source: Source, station: Path | None, part: Commissioning | None, connect: bool, json: bool
 ) -> None:
     """What each experiment of a series would do, and how long all of them take."""
     from hil.cli.excitation_line import ExcitationLine
     from hil.workflow import load_series, preview_experiment
 
     told = []
-    for each in load_series(path, station).experiments:
+    for each in load_series(source, station).experiments:
         experiment = replace(each, commissioning=part)
         with ExcitationLine() as line:
             _, preview = preview_experiment(experiment, connect=connect, watch=line)
@@ -64,7 +65,7 @@ def plan_series(
     total = {key: sum(facts[key] for _, facts in told) for key in ("duration_s", "recording_bytes")}
     if json:
         runs = [{"name": each.spec.name, **facts} for each, facts in told]
-        print_json({"series": str(path), "runs": runs, **total})
+        print_json({"series": source.name, "runs": runs, **total})
         return
     rows = [_planned(each.spec.name, each.spec.robot, facts) for each, facts in told]
     rows.append(_planned("together", "", total))
@@ -80,7 +81,7 @@ def _planned(name: str, robot: str, facts: dict[str, Any]) -> tuple[str, ...]:
 
 
 def run_series(
-    path: Path,
+    source: Source,
     station: Path | None,
     runs: Path,
     part: Commissioning | None,
@@ -92,7 +93,7 @@ def run_series(
     """Run a series from its beginning.
 
     Args:
-        path: Its file.
+        source: What was read from its file.
         station: In place of every station the files name.
         runs: Where run directories are kept.
         part: What of each experiment is executed, and how fast; None for all of it.
@@ -103,14 +104,14 @@ def run_series(
     from hil.runs import SeriesFolder
     from hil.workflow import Moves, check_driver, load_series, require_extras
 
-    series = load_series(path, station)
+    series = load_series(source, station)
     for experiment in series.experiments:
         check_driver(replace(experiment, commissioning=part))
         if part is None:
             require_extras(experiment.spec)
     parts = (replace(each, commissioning=part) for each in series.experiments)
-    confirm(Moves(path, series.spec.robots, _places(parts)))
-    folder = SeriesFolder.create(runs, series.spec, path, station, part)
+    confirm(Moves(series.source, series.spec.robots, _places(parts)))
+    folder = SeriesFolder.create(runs, series.spec, series.source, station, part)
 
     def execute(experiment: Experiment, document: Document) -> Outcome:
         return _told(begin(replace(experiment, commissioning=part)))

@@ -44,11 +44,11 @@ def validate(
     source = read_source(spec)
     if is_schedule(source):
         refuse_set(set_, "a schedule")
-        reidentify.validate_schedule(spec, station, json)
+        reidentify.validate_schedule(source, station, json)
         return
     if is_series(source):
         refuse_set(set_, "a series")
-        series.validate_series(spec, station, json)
+        series.validate_series(source, station, json)
         return
 
     experiment = load_with(source, station, set_)
@@ -109,7 +109,7 @@ def plan(
     source = read_source(spec)
     if is_series(source):
         refuse_set(set_, "a series")
-        series.plan_series(spec, station, part, connect, json)
+        series.plan_series(source, station, part, connect, json)
         return
     experiment = replace(load_with(source, station, set_), commissioning=part)
     check_driver(experiment)

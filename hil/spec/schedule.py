@@ -222,8 +222,11 @@ def is_schedule(file: str | FilePath | Source) -> bool:
     return isinstance(data, dict) and KEY in data
 
 
-def load_schedule_spec(path: str | FilePath) -> ScheduleSpec:
+def load_schedule_spec(file: str | FilePath | Source) -> ScheduleSpec:
     """Read a schedule; the files it names must be experiments and a station.
+
+    Args:
+        file: The YAML file, or what was read from it.
 
     Returns:
         The schedule; its paths are absolute.
@@ -231,7 +234,8 @@ def load_schedule_spec(path: str | FilePath) -> ScheduleSpec:
     Raises:
         SpecError: With a line `file:line:column: path: message` for every problem.
     """
-    source, folder = read_source(path), FilePath(path).parent
+    source = file if isinstance(file, Source) else read_source(file)
+    folder = FilePath(source.name).parent
     refuse_other_kind(source, KEY)
     for place in (("station",), ("probe", "spec"), ("campaign", "spec")):
         make_absolute(source, place, folder)

@@ -53,8 +53,11 @@ def is_series(file: str | FilePath | Source) -> bool:
     return isinstance(data, dict) and KEY in data
 
 
-def load_series_spec(path: str | FilePath) -> SeriesSpec:
+def load_series_spec(file: str | FilePath | Source) -> SeriesSpec:
     """Read a series; what it names must be experiments and stations, and is not checked further.
+
+    Args:
+        file: The YAML file, or what was read from it.
 
     Returns:
         The series; its paths are absolute.
@@ -62,7 +65,8 @@ def load_series_spec(path: str | FilePath) -> SeriesSpec:
     Raises:
         SpecError: With a line `file:line:column: path: message` for every problem.
     """
-    source, folder = read_source(path), FilePath(path).parent
+    source = file if isinstance(file, Source) else read_source(file)
+    folder = FilePath(source.name).parent
     refuse_other_kind(source, KEY)
     for place in _places(source):
         make_absolute(source, place, folder)

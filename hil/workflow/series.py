@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from hil.core import DataError, HilError, Rejected, SpecError, Stopped, errors, exit_code_of
+from hil.core import DataError, HilError, Rejected, Source, SpecError, Stopped, errors, exit_code_of
 from hil.planning import Experiment, load_experiment
 from hil.runs import SeriesFolder
 from hil.spec import SeriesSpec, load_series_spec
@@ -120,17 +120,17 @@ class SeriesReport:
         }
 
 
-def load_series(path: Path, station: Path | None = None) -> Series:
+def load_series(file: Path | Source, station: Path | None = None) -> Series:
     """Read a series, its experiments and their stations.
 
     Args:
-        path: The YAML file.
+        file: The YAML file, or what was read from it.
         station: In place of every station the files name.
 
     Raises:
         SpecError: With every problem of all the files.
     """
-    spec = load_series_spec(path)
+    spec = load_series_spec(file)
     experiments: list[Experiment] = []
     problems: list[SpecError] = []
     for entry in spec.series:
@@ -142,7 +142,7 @@ def load_series(path: Path, station: Path | None = None) -> Series:
     if problems:
         told = dict.fromkeys(line for error in problems for line in error.message.splitlines())
         raise SpecError("\n".join(told), hint=problems[0].hint)
-    return Series(spec, tuple(experiments), path)
+    return Series(spec, tuple(experiments), Path(file.name) if isinstance(file, Source) else file)
 
 
 def run_series(

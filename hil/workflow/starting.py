@@ -70,7 +70,7 @@ def check_start(
     if is_series(source):
         if overrides:
             raise SpecError(f"{spec} is a series: --set is for experiments")
-        experiments = load_series(spec, station).experiments
+        experiments = load_series(source, station).experiments
     else:
         experiments = (load_experiment(source, station, overrides or {}),)
     for experiment in experiments:

@@ -77,21 +77,22 @@ def bind(spec: ScheduleSpec, station: Path | None = None, file: Path | None = No
     return Bound(spec, name, loaded.get("probe"), campaign, fit)
 
 
-def bind_file(file: Path, station: Path | None = None) -> Bound:
+def bind_file(file: Path | Source, station: Path | None = None) -> Bound:
     """A schedule's file bound to all that it names, drivers included.
 
     Args:
-        file: The schedule (YAML).
+        file: The schedule (YAML), or what was read from it.
         station: In place of the one it names.
 
     Raises:
         SpecError: With a line for every problem of the schedule and of the files it names.
         PluginError: A driver is missing or does not load.
     """
-    bound = bind(load_schedule_spec(file), station, file)
+    path = Path(file.name) if isinstance(file, Source) else file
+    bound = bind(load_schedule_spec(file), station, path)
     for experiment in bound.experiments:
         check_driver(experiment)
-    bound.moves(file).real()
+    bound.moves(path).real()
     return bound
 
 
