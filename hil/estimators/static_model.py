@@ -1,4 +1,4 @@
-"""What every linear model of an arm at rest shares: its regressor, predictions and refusals."""
+"""The base of all linear models of an arm at rest: regressor (eq. 18–20), predictions, refusals."""
 
 from __future__ import annotations
 
@@ -27,8 +27,9 @@ CURRENT_PART = "measured current² (paper protocol)"
 class StaticModel(WlsEstimator):
     """Gravity and offset of an arm at rest, linear in the parameters.
 
-    With `current_term` joint j's regressor is R_j = [φ_j, i²·sign(i), 1] (eq. 20) and by eq. 19 its
-    last two coefficients are −K₂/K₁ and −K₀/K₁ of τ = K₂·i²·sign(i) + K₁·i + K₀ (eq. 16), after
+    At rest, gravity is the motor's torque, φ_j·θ_j = K₂·i²·sign(i) + K₁·i + K₀ (eq. 18 of the static
+    paper). Divided by K₁ (eq. 19) it is linear: with `current_term` joint j's regressor is
+    R_j = [φ_j, i²·sign(i), 1] (eq. 20), and its last two coefficients are −K₂/K₁ and −K₀/K₁ after
     division by `torque_scale_[j]`.
 
     Attributes:

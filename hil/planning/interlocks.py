@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from hil.arms import ArmDescription
 from hil.core import PlanError
@@ -12,9 +11,6 @@ from hil.dynamics import FlangeSpace, Plane, least_along
 from hil.planning.plan import Step
 from hil.planning.surroundings import BodySize
 from hil.spec import ClearanceInterlock, Interlock, WorkspaceInterlock
-
-if TYPE_CHECKING:
-    from hil.dynamics import FlangeSpace, Plane
 
 
 def flange_space(

@@ -51,9 +51,7 @@ class RunInterlocks:
             flange=partial(flange_space, arm, sizes=sizes) if arm else None,
             behind_s=self._behind_s,
             folder=folder,
-            speed_scaling=(lambda: robot.speed_scaling)
-            if isinstance(robot, HasSpeedScaling)
-            else None,
+            speed_scaling=_speed_scaling_of(robot),
             clock=can.clock,
         )
         self.recorder: Recorder | None = None
