@@ -396,7 +396,7 @@ def jogged_arms_are_confirmed_again(folder: Path) -> str:
 def series_are_confirmed_step_by_step(folder: Path) -> str:
     """Compare a step of a series that carries and sweeps more with what its form has shown."""
     from hil.core.errors import NotConfirmed
-    from hil.planning.experiment import load_experiment
+    from hil.planning.experiment import load as load_experiment
     from hil.workflow.confirmation import Granted, motion_facts, together
     from hil.workflow.preview import planned
 

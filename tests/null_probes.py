@@ -12,7 +12,8 @@ from hil.estimators.model_file import load_model_file
 from hil.evaluation.fitting import load_source, usable_part
 from hil.maintenance.pipeline.adapted import with_options
 from hil.models.drift.features import Features, features_of
-from hil.planning.experiment import Experiment, load_experiment
+from hil.planning.experiment import Experiment
+from hil.planning.experiment import load as load_experiment
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
 ROOMS_C = (14.0, 30.0)

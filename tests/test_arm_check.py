@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from hil.cli.app import app
 from hil.core.errors import SpecError
-from hil.planning.experiment import load_experiment
+from hil.planning.experiment import load as load_experiment
 from hil.workflow.driver_check import check_driver
 
 SPEC = """\

@@ -23,7 +23,8 @@ from hil.cli.app import app
 from hil.core.errors import NotConfirmed, SpecError, exit_code_of
 from hil.maintenance.pipeline import measuring
 from hil.maintenance.pipeline.bound import bind_file
-from hil.planning.experiment import Experiment, load_experiment
+from hil.planning.experiment import Experiment
+from hil.planning.experiment import load as load_experiment
 from hil.planning.robots import opened
 from hil.robot import Address
 from hil.workflow import arming

@@ -21,7 +21,7 @@ from hil.estimators.checks import Needs
 from hil.estimators.rigid_linear import RigidLinear
 from hil.estimators.static import StaticWls
 from hil.planning.commissioning import Commissioning
-from hil.planning.experiment import load_experiment
+from hil.planning.experiment import load as load_experiment
 from hil.workflow.arm_check import require_within_reach
 from hil.workflow.driver_check import check_driver
 from hil.workflow.starting import check_start

@@ -11,7 +11,7 @@ from typer.testing import CliRunner, Result
 import hil
 from hil.cli.app import app
 from hil.core.errors import SpecError
-from hil.planning.experiment import load_experiment
+from hil.planning.experiment import load as load_experiment
 from hil.spec import load_spec, spec_from_text, spec_hash
 from hil.spec.overrides import resolved_text
 

@@ -27,7 +27,8 @@ from hil.core.errors import FitError, HilError, InterlockTripped
 from hil.maintenance.schedule.ledger import Ledger, kept
 from hil.maintenance.schedule.motions import motions
 from hil.maintenance.schedule.occasion import Occasion
-from hil.planning.experiment import Experiment, load_experiment
+from hil.planning.experiment import Experiment
+from hil.planning.experiment import load as load_experiment
 from hil.spec.schedule import load_schedule_spec
 from hil.workflow.preview import preview_experiment
 

@@ -33,7 +33,7 @@ from hil.models.fleet_fitting import computed, fit_runs
 from hil.models.fleet_robot_fit import kept, registered
 from hil.models.model_registry import Registry
 from hil.spec.judged import ContradictedLimit, HoldOut, RmseLimit
-from hil.workflow.run import run_experiment
+from hil.workflow.running import run as run_experiment
 
 HOW = How("rigid-wls")
 

@@ -17,7 +17,8 @@ from hil.estimators import estimator
 from hil.maintenance.pipeline.adapted import with_options
 from hil.maintenance.pipeline.measuring import Measuring, run_of
 from hil.models.facts import facts_of
-from hil.planning.experiment import Experiment, load_experiment
+from hil.planning.experiment import Experiment
+from hil.planning.experiment import load as load_experiment
 from hil.recording.rundir import RunDirectory
 
 

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from report_html import array_of
 
-from hil.report import colours, figures
+from hil.report import colours
+from hil.report import plotly_figures as figures
 from hil.report.encode import figure_json
 
 RNG = np.random.default_rng(0)

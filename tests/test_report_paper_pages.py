@@ -20,7 +20,8 @@ from typer.testing import CliRunner
 import hil
 from hil.cli.app import app
 from hil.core.errors import DataError
-from hil.report import colours, figures, render_report
+from hil.report import colours, render_report
+from hil.report import plotly_figures as figures
 from hil.report.blocks import Badge, Page, Panel, Plots, Section
 from hil.report.drift_figures import Along
 from hil.report.encode import figure_json

@@ -9,8 +9,8 @@ import pytest
 from report_runs import JOINTS, dwell_plan, fourier_plan, rows_of_plan, write_run
 from study_parts import result
 
-from hil.api import parse_parameters
 from hil.cli.runs import tell_run
+from hil.core import parse_parameters
 from hil.core.errors import DataError
 from hil.core.live_lock import hold_run
 from hil.report import summary_lines

@@ -17,7 +17,7 @@ from hil.maintenance.pipeline.measuring import Measuring
 from hil.maintenance.schedule.ledger import Ledger
 from hil.maintenance.schedule.loop import Scheduler
 from hil.maintenance.schedule.occasion import Occasion
-from hil.planning.experiment import load_experiment
+from hil.planning.experiment import load as load_experiment
 
 MON = "20261123T030000Z-probe"
 

@@ -19,7 +19,7 @@ from hil.maintenance.schedule.curfew import curfew
 from hil.maintenance.schedule.loop import Interruption
 from hil.maintenance.schedule.preconditions import RobotReady
 from hil.planning import robots
-from hil.planning.experiment import load_experiment
+from hil.planning.experiment import load as load_experiment
 from hil.robot import Finding, Status, state_dtype
 from hil.robot.lease import leased
 from hil.workflow import driver_check

@@ -16,7 +16,8 @@ from web_parts import dashboard
 
 from hil.dashboard import motions, start_pages
 from hil.dashboard.checked import digest_of
-from hil.planning.experiment import Experiment, load_experiment
+from hil.planning.experiment import Experiment
+from hil.planning.experiment import load as load_experiment
 
 POSES = "0, -90, 90, 0, 0, 0\n10, -80, 80, 0, 0, 0\n"
 
@@ -104,7 +105,7 @@ def changed(experiment: Experiment, file: Path, text: str) -> tuple[str, str]:
 def test_files_that_are_named_count_by_their_content(tmp_path: Path) -> None:
     spec, station = written(tmp_path)
     (tmp_path / "poses.csv").write_text(POSES)
-    experiment = load_experiment(spec, station, {"excitation.file": "poses.csv"})
+    experiment = load_experiment(spec, station, overrides={"excitation.file": "poses.csv"})
     before, after = changed(experiment, tmp_path / "poses.csv", POSES.replace("10", "11"))
     assert before != after
     (tmp_path / "own.yaml").write_text("a: 1\n")

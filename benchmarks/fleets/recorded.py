@@ -31,7 +31,7 @@ def recordings(folder: Path, count: int, executor: Executor) -> list[Path]:
 
 def _recorded(folder: Path, robot: str) -> Path:
     from hil.maintenance.fleet.members import experiment_for
-    from hil.workflow.run import run_experiment
+    from hil.workflow.running import run as run_experiment
 
     text = SPEC.format(robot=robot)
     experiment = experiment_for(text, folder, folder / "station.yaml", folder / "spec.yaml")

@@ -94,11 +94,12 @@ class Attended:
 
     def run(self, experiment: Experiment, runs: Path) -> RunReport:
         """Run an experiment."""
-        from hil.workflow import checked_robot, run_experiment
+        from hil.workflow import checked_robot
+        from hil.workflow import run as run_experiment
 
         with checked_robot(experiment) as robot:
             confirm = self.together.begin(experiment) if self.together else self._confirm()
-            move = partial(run_experiment, experiment, runs=runs, robot=robot)
+            move = partial(run_experiment, experiment, runs=runs, opened=robot)
             return self._attend(lambda: robot.capabilities, move, confirm)
 
     def resume(self, run: Path) -> RunReport:

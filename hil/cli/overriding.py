@@ -50,9 +50,10 @@ def load_with(spec: Path | Source, station: Path | None, given: Sequence[str] | 
     Raises:
         SpecError: As `hil.load`; what is wrong with a value is told at its option.
     """
-    from hil.planning import load_experiment, passed_over
+    from hil.planning import load as load_experiment
+    from hil.planning import passed_over
 
-    experiment = load_experiment(spec, station, _overrides(given or ()))
+    experiment = load_experiment(spec, station, overrides=_overrides(given or ()))
     file = Path(experiment.spec_source)
     if told := passed_over(experiment.station_source, file, experiment.spec.robot):
         typer.echo(f"warning: {told}", err=True)

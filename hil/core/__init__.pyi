@@ -110,5 +110,6 @@ from .yaml_nodes import CORE_SCALARS as CORE_SCALARS
 from .yaml_nodes import MOST_BYTES as MOST_BYTES
 from .yaml_source import parse as parse
 from .yaml_source import read_source as read_source
+from .yaml_values import parse_parameters as parse_parameters
 from .yaml_values import parse_text as parse_text
 from .yaml_values import scalar as scalar

@@ -9,10 +9,12 @@ several documents, and aliases that blow up.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from typing import Any
 
 import yaml
 
+from hil.core.errors import SpecError
 from hil.core.source import Mark, Problem, Source, refuse, shown
 from hil.core.yaml_extent import Extent
 from hil.core.yaml_nodes import CORE_SCALARS, TAG, Reading, mark_of
@@ -75,6 +77,19 @@ def scalar(text: str, name: str = "value") -> Any:
     if source.problems:
         raise refuse(source.problems)
     return source.data
+
+
+def parse_parameters(texts: Iterable[str]) -> dict[str, Any]:
+    """Return `name=value` texts as a dict; values are read as YAML scalars.
+
+    Raises:
+        SpecError: One is no such text, or its value is not YAML.
+    """
+    pairs = [text.partition("=") for text in texts]
+    for name, equals, _ in pairs:
+        if not (name and equals):
+            raise SpecError(f"--set {name!r} is not NAME=VALUE", hint="for example: --set seed=3")
+    return {name: scalar(value) for name, _, value in pairs}
 
 
 def place_after(before: str, name: str) -> Mark:

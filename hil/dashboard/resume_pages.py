@@ -26,7 +26,8 @@ from hil.dashboard.security import form_of
 from hil.dashboard.settings import Settings
 from hil.dashboard.threads import in_thread
 from hil.dashboard.wanted import require_text
-from hil.planning import load_experiment, moves_for_real
+from hil.planning import load as load_experiment
+from hil.planning import moves_for_real
 from hil.report import RESUMABLE
 from hil.workflow import check_resume, go_on_with, require_resumable, started_runs
 

@@ -10,7 +10,8 @@ from .exciting import setting_of as setting_of
 from .experiment import BUILT_IN as BUILT_IN
 from .experiment import Experiment as Experiment
 from .experiment import find_station as find_station
-from .experiment import load_experiment as load_experiment
+from .experiment import load as load
+from .experiment import require_experiment as require_experiment
 from .interlocks import declared_space as declared_space
 from .interlocks import flange_space as flange_space
 from .limits import excesses as excesses

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hil.core import Source, SpecError, card, read_source
+from hil.core import AnyPath, Source, SpecError, card, path_of, read_source, values_by_name
 from hil.planning.station_lookup import BUILT_IN, NOT_MOCKED, find_station, mock_bench, stations_in
 from hil.spec import (
     ExperimentSpec,
@@ -23,10 +24,9 @@ if TYPE_CHECKING:
     from hil.planning.commissioning import Commissioning
 
 __all__ = [
-    "BUILT_IN", "NOT_MOCKED", "Experiment", "find_station", "load_experiment", "mock_bench",
+    "BUILT_IN", "NOT_MOCKED", "Experiment", "find_station", "load", "mock_bench",
+    "require_experiment",
 ]  # fmt: skip
-
-_NO_OVERRIDES: Mapping[str, str] = {}
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,40 +88,71 @@ class Experiment:
         return f", individual {self.robot.options.get('seed', 0)}"
 
 
-def load_experiment(
-    file: Path | Source,
-    station_path: Path | None = None,
-    overrides: Mapping[str, str] = _NO_OVERRIDES,
+def load(
+    spec: AnyPath | Source,
+    station: AnyPath | None = None,
+    *,
+    overrides: Mapping[str, object] | None = None,
 ) -> Experiment:
-    """Load a spec and the station it runs at.
+    """Load and check an experiment spec and its station.
 
     Args:
-        file: The spec's file, or what `read_source` read from it, which is changed.
-        station_path: The station's file, when somebody has named one.
-        overrides: Values laid over the spec, YAML text by dotted path (`excitation.waypoints`).
-
-    The station is, in this order: `station_path`, $HIL_STATION, `station.yaml` beside the spec,
-    or a bench with every built-in arm that can be mocked, and one on mock CAN drives. A real
-    robot is never chosen by default.
+        spec: The spec's file, or what `read_source` read from it, which is changed.
+        station: The station's file; by default $HIL_STATION, `station.yaml` beside the spec, or a
+            bench with every built-in arm that can be mocked, and one on mock CAN drives, in this
+            order. A real robot is never chosen by default.
+        overrides: Other values in the spec by dotted path (`excitation.waypoints`); texts are YAML,
+            as those of `--set`.
 
     Raises:
-        SpecError: Either file has problems (all are listed), or the station lacks the robot.
+        SpecError: With every problem of both files; or the station lacks the robot.
     """
+    texts = {
+        key: value if isinstance(value, str) else json.dumps(value, default=_plain)
+        for key, value in values_by_name(overrides, "overrides", "{'excitation.seed': 3}").items()
+    }
+    file = spec if isinstance(spec, Source) else path_of(spec)
+    path = Path(file.name) if isinstance(file, Source) else file
+    return _loaded(file, path, path_of(station) if station else None, texts)
+
+
+def _loaded(
+    file: Path | Source, path: Path, named: Path | None, overrides: Mapping[str, str]
+) -> Experiment:
     spec = load_spec(file, overrides)
-    spec_path = Path(file.name) if isinstance(file, Source) else file
-    station, text, source = find_station(spec_path.resolve().parent, station_path)
+    station, text, source = find_station(path.resolve().parent, named)
     return Experiment(
         spec=spec,
         station=station,
-        robot=_robot_of(spec, station, spec_path, overrides, named=station_path is not None),
-        spec_text=resolved_text(spec_path, overrides)
-        if overrides
-        else spec_path.read_text("utf-8"),
+        robot=_robot_of(spec, station, path, overrides, named=named is not None),
+        spec_text=resolved_text(path, overrides) if overrides else path.read_text("utf-8"),
         station_text=text or station.as_text(BUILT_IN),
         station_source=source,
-        folder=spec_path.resolve().parent,
-        spec_source=str(spec_path),
+        folder=path.resolve().parent,
+        spec_source=str(path),
         overrides=dict(overrides),
+    )
+
+
+def require_experiment(experiment: Experiment) -> None:
+    """Refuse what `load` does not give.
+
+    Raises:
+        SpecError: It is something else.
+    """
+    if not isinstance(experiment, Experiment):
+        raise SpecError(
+            f"{experiment!r:.80} is no experiment", hint="load it first: hil.load('spec.yaml')"
+        )
+
+
+def _plain(value: object) -> object:
+    """A number or list of numpy's as Python's own."""
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    raise SpecError(
+        f"overrides: {value!r} is nothing that YAML has",
+        hint="give numbers, texts, lists and mappings",
     )
 
 

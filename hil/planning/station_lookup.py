@@ -33,7 +33,7 @@ MOCK_STARTS = {"kr300": [0, -90, 90, 0, 0, 0]}
 
 
 def find_station(folder: Path, named: Path | None = None) -> tuple[Station, str, str]:
-    """The station to work at, as `load_experiment` chooses it: itself, its text, its source.
+    """The station to work at, as `load` chooses it: itself, its text, its source.
 
     Args:
         folder: Where `station.yaml` is looked for.

@@ -37,6 +37,7 @@ from .live_state import standing_in as standing_in
 from .operator import ConsoleOperator as ConsoleOperator
 from .operator import prompts_of as prompts_of
 from .preview import WITHOUT_THE_ROBOT as WITHOUT_THE_ROBOT
+from .preview import plan as plan
 from .preview import planned as planned
 from .preview import preview_experiment as preview_experiment
 from .replaying import replay as replay
@@ -47,9 +48,9 @@ from .resuming import require_resumable as require_resumable
 from .resuming import require_same_robot as require_same_robot
 from .robot_status import BenchRobot as BenchRobot
 from .robot_status import bench as bench
-from .run import resume_experiment as resume_experiment
-from .run import run_experiment as run_experiment
 from .run_report import RunReport as RunReport
+from .running import resume as resume
+from .running import run as run
 from .series import Ended as Ended
 from .series import Series as Series
 from .series import SeriesReport as SeriesReport
@@ -73,5 +74,6 @@ from .studies import Studied as Studied
 from .studies import entries_for as entries_for
 from .studies import missing_studies as missing_studies
 from .studies import run_studies as run_studies
+from .studies import study as study
 from .studies import unwatched as unwatched
 from .under_loads import STUDY as STUDY

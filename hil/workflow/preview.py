@@ -16,6 +16,7 @@ from hil.planning import (
     opened,
     plan_for,
     preview,
+    require_experiment,
 )
 from hil.robot import Robot
 from hil.workflow.arm_check import require_within_reach
@@ -64,6 +65,25 @@ def planned(
             return
         with leased_and_connected(experiment, robot):
             yield robot, plan_for(experiment, robot, watch), True
+
+
+def plan(experiment: Experiment, *, connect: bool = False) -> Plan:
+    """What the robot would do; nothing moves.
+
+    A robot on a virtual clock is asked where it stands. One in wall time is not connected to: its
+    plan begins in the roomiest pose of its range.
+
+    Args:
+        experiment: From `load`.
+        connect: Plan from where a robot in wall time stands now, too.
+
+    Raises:
+        PlanError: No safe plan follows from the spec.
+        RobotError: The robot cannot be asked where it stands, or another process holds it.
+    """
+    require_experiment(experiment)
+    with planned(experiment, connect=connect) as (_, made, _):
+        return made
 
 
 def preview_experiment(

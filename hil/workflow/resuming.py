@@ -18,7 +18,8 @@ from hil.arms import require_same_arm
 from hil.core import DataError, PreflightFailed, read_json
 from hil.engine import Outcome, RunResult
 from hil.importers import Completeness, completeness_of, rows_of
-from hil.planning import Approach, Experiment, Plan, held, load_experiment, read_plan, standing_at
+from hil.planning import Approach, Experiment, Plan, held, read_plan, standing_at
+from hil.planning import load as load_experiment
 from hil.recording import (
     Counts,
     RunDirectory,

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from hil.core import DataError, HilError, Rejected, Source, SpecError, Stopped, errors, exit_code_of
-from hil.planning import Experiment, load_experiment
+from hil.planning import Experiment
+from hil.planning import load as load_experiment
 from hil.runs import SeriesFolder
 from hil.spec import SeriesSpec, load_series_spec
 

@@ -24,7 +24,8 @@ from hil.core import (
     read_source,
     write_replacing,
 )
-from hil.planning import Commissioning, Experiment, commissioning_of, load_experiment
+from hil.planning import Commissioning, Experiment, commissioning_of
+from hil.planning import load as load_experiment
 from hil.recording import RunDirectory
 from hil.recording import operator as this_user
 from hil.spec import is_schedule, is_series
@@ -72,7 +73,7 @@ def check_start(
             raise SpecError(f"{spec} is a series: --set is for experiments")
         experiments = load_series(source, station).experiments
     else:
-        experiments = (load_experiment(source, station, overrides or {}),)
+        experiments = (load_experiment(source, station, overrides=overrides),)
     for experiment in experiments:
         check_driver(replace(experiment, commissioning=commissioning))
         if commissioning is None:

@@ -8,11 +8,24 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hil.core import DataError, FitError, HilError, SpecError, Throttle, cores, is_live, plugins
+from hil.core import (
+    AnyPath,
+    DataError,
+    FitError,
+    HilError,
+    SpecError,
+    Throttle,
+    cores,
+    is_live,
+    path_of,
+    plugins,
+    values_by_name,
+)
 from hil.dynamics import RobotModel, load_model
 from hil.estimators import plain
 from hil.importers import load_source
 from hil.recording import RunDirectory
+from hil.report import render_report
 from hil.spec import ExperimentSpec, StudyEntry, load_spec
 from hil.studies import (
     GROUP,
@@ -23,10 +36,10 @@ from hil.studies import (
     Study,
     StudyResult,
     folder_of,
-    study,
     write_problem,
     write_study,
 )
+from hil.studies import study as made_study
 from hil.workflow.under_loads import STUDY, as_in_spec, of_other_arms, under_loads
 
 if TYPE_CHECKING:
@@ -79,6 +92,37 @@ def unheard(name: str, ended: Ended) -> None:
     """Fits that nobody is told of."""
 
 
+def study(
+    run: AnyPath,
+    name: str | None = None,
+    *,
+    parameters: dict[str, Any] | None = None,
+    watch: Watch | None = None,
+) -> tuple[StudyResult, ...]:
+    """Make the studies of a run's spec again, or another one; also refreshes its report.
+
+    Args:
+        run: The run directory.
+        name: Name in `hil.studies`; by default all that the run's spec names.
+        parameters: The study's own parameters, over those in the spec.
+        watch: Told the study, what it is doing, and how many of how many steps of that are done.
+
+    Returns:
+        What they found, as it was written into the run directory.
+
+    Raises:
+        SpecError, PluginError: There is no such study or parameter.
+        DataError, FitError: The run does not allow it; studies beside it have been made.
+    """
+    folder = path_of(run)
+    given = values_by_name(parameters, "parameters", "{'seed': 3}")
+    found = run_studies(folder, entries_for(folder, name, given), watch or unwatched)
+    render_report(folder)
+    if found.error is not None:
+        raise found.error
+    return tuple(result for _, result in found.made)
+
+
 def entries_for(
     run: Path, name: str | None = None, parameters: Mapping[str, Any] | None = None
 ) -> tuple[StudyEntry, ...]:
@@ -125,7 +169,7 @@ def missing_studies(run: Path, entries: Sequence[StudyEntry]) -> tuple[StudyEntr
     """
 
     def folder(entry: StudyEntry) -> Path:
-        made = study(entry.study, **entry.parameters)
+        made = made_study(entry.study, **entry.parameters)
         return run / STUDIES / folder_of(entry.study, made.get_params())
 
     folders = [(entry, folder(entry)) for entry in entries]
@@ -155,7 +199,7 @@ def run_studies(
         SpecError, PluginError: A study or a parameter does not exist; nothing has been done.
         KeyboardInterrupt: As it came; what was made before is kept.
     """
-    studies = [(entry, study(entry.study, **entry.parameters)) for entry in entries]
+    studies = [(entry, made_study(entry.study, **entry.parameters)) for entry in entries]
     made: list[tuple[Path, StudyResult]] = []
     problems: list[tuple[str, HilError]] = []
     of: tuple[Dataset, RobotModel] | None = None

@@ -26,7 +26,7 @@ from hil.engine import Reply
 from hil.planning.plan_file import read_plan
 from hil.recording import recorder as recorder_module
 from hil.recording.writer import McapWriter
-from hil.workflow import recording, run
+from hil.workflow import recording, running
 from hil.workflow.desk import Desk
 
 STALL_S = 6.0
@@ -174,7 +174,7 @@ def main() -> int:
     case = json.loads(Path(sys.argv[1]).read_text("utf-8"))
     _end_like_ctrl_c()
     recording.plan_for = lambda *_: read_plan(Path("plan.json"))
-    run._report = lambda directory, judged: (None, None)
+    running._report = lambda directory, judged: (None, None)
 
     def confirm(text: str, meanwhile: Callable[[], object]) -> Reply:
         until = time.monotonic() + case["prompt_s"]

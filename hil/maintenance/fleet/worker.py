@@ -16,7 +16,9 @@ from hil.core import HilError, one_thread
 from hil.engine import nobody_goes_on
 from hil.maintenance.fleet.members import experiment_for
 from hil.recording import RunDirectory
-from hil.workflow import Unconfirmed, check_driver, console_desk, resume_experiment, run_experiment
+from hil.workflow import Unconfirmed, check_driver, console_desk
+from hil.workflow import resume as resume_experiment
+from hil.workflow import run as run_experiment
 
 if TYPE_CHECKING:
     from hil.planning import Experiment

@@ -16,7 +16,7 @@ def with_options(experiment: Experiment, options: Mapping[str, Any]) -> Experime
     has the same robot.
 
     Args:
-        experiment: From `load_experiment`.
+        experiment: From `hil.planning.load`.
         options: Laid over those of the station.
     """
     name = experiment.spec.robot

@@ -8,7 +8,8 @@ from pathlib import Path
 from hil.core import KeyPath, Problem, Source, SpecError, dotted, read_source
 from hil.maintenance.pipeline.fitting_together import problems as problems_of
 from hil.maintenance.pipeline.fitting_together import wanted
-from hil.planning import Experiment, load_experiment
+from hil.planning import Experiment
+from hil.planning import load as load_experiment
 from hil.spec import Fit, ScheduleSpec, load_schedule_spec
 from hil.workflow import Moves, check_driver
 

@@ -30,11 +30,11 @@ from hil.workflow import (
     describe_robot,
     missing_studies,
     require_same_robot,
-    resume_experiment,
-    run_experiment,
     run_studies,
     whole,
 )
+from hil.workflow import resume as resume_experiment
+from hil.workflow import run as run_experiment
 
 BY_SIGNAL = exit_code_of(Stopped("", by_signal=True))
 

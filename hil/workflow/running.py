@@ -1,0 +1,221 @@
+"""The main job: record, fit, judge, report; one call, one run directory.
+
+Recorder, dynamics and report are imported when a run begins: `hil.run` is looked up at once.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hil.core import AnyPath, HilError, SpecError, path_of, values_by_name
+from hil.engine import Observer, Observers, SignalWatch, StopSignal, nobody_goes_on
+from hil.estimators import models_below
+from hil.evaluation import verdict_word
+from hil.planning import Experiment, require_experiment
+from hil.recording import RunDirectory
+from hil.workflow.confirmation import Confirm, Granted, Unconfirmed
+from hil.workflow.control_files import hold_attempt
+from hil.workflow.desk import Desk, console_desk
+from hil.workflow.run_report import RunReport
+
+if TYPE_CHECKING:
+    from hil.evaluation import Judged
+    from hil.robot import Robot
+    from hil.workflow.attempt import Recorded
+    from hil.workflow.execute import Attendance
+
+
+def run(
+    experiment: Experiment,
+    *,
+    runs: AnyPath = "runs",
+    operator: str = "",
+    observers: Sequence[Observer] = (),
+    waivers: Mapping[str, str] | None = None,
+    desk: Desk | None = None,
+    robot: str | None = None,
+    opened: Robot | None = None,
+) -> RunReport:
+    """Plan, run, record, fit, judge and report.
+
+    Args:
+        experiment: From `load`.
+        runs: Where run directories are kept.
+        operator: Who is at the robot; by default the user of this process.
+        observers: Receive progress events, each on its own thread.
+        waivers: Preflight check → why its failure is accepted; recorded.
+        desk: Where prompts are answered and pauses are ended; by default the console.
+        robot: Name of the experiment's robot, which confirms that it may move; a real robot does
+            not move without it.
+        opened: The robot itself, if it is open already; it is closed after the motion.
+
+    Returns:
+        The report; a run that ended early says so in `outcome` and `error` and is not raised.
+
+    Raises:
+        NotConfirmed: The robot is real and was not named.
+        SpecError: `robot` is not the robot of the experiment.
+        HilError: What else went wrong before there was a run directory.
+    """
+    require_experiment(experiment)
+    if robot not in (None, experiment.spec.robot):
+        raise SpecError(
+            f"robot={robot!r} is not the robot of {experiment.spec.name}",
+            hint=f"its robot is {experiment.spec.robot!r} of {experiment.station_source}",
+        )
+    from hil.workflow.recording import record
+
+    folder, asked, accepted = path_of(runs), _confirming(desk, robot, operator), _reasons(waivers)
+
+    def motion(attendance: Attendance) -> Recorded:
+        return record(experiment, runs=folder, attendance=attendance, opened=opened)
+
+    return _attended(experiment, motion, operator, observers, accepted, asked)
+
+
+def resume(
+    run: AnyPath,
+    *,
+    operator: str = "",
+    observers: Sequence[Observer] = (),
+    waivers: Mapping[str, str] | None = None,
+    desk: Desk | None = None,
+    robot: str | None = None,
+) -> RunReport:
+    """Go on with a run that ended early: what is whole stays, the rest is measured and judged.
+
+    A run in which everything was measured, but nothing judged, is judged.
+
+    Args:
+        run: The run directory.
+        operator: Who is at the robot; by default the user of this process.
+        observers: Receive progress events, each on its own thread.
+        waivers: Preflight check → why its failure is accepted; recorded.
+        desk: Where prompts are answered and pauses are ended; by default the console.
+        robot: Name of the run's robot, which confirms that it may move; needed for a real robot
+            unless address, payload and all of the motion were confirmed when the run began.
+
+    Returns:
+        The report over all attempts.
+
+    Raises:
+        DataError: The run has nothing left to do, or its plan or spec was changed.
+        PreflightFailed: It is another robot.
+        NotConfirmed: Address or payload of a real robot changed, or the arm stands where the way
+            back sweeps more than was confirmed, and `robot` does not name it.
+        HilError: What else keeps the run from going on.
+    """
+    folder, asked, accepted = path_of(run), _confirming(desk, robot, operator), _reasons(waivers)
+    from hil.workflow.resuming import open_unfinished, recorded_before, resume_recording
+
+    RunDirectory.open(folder)
+    # Held before anything is looked at: what is missing must not be measured by two at once.
+    with hold_attempt(folder):
+        unfinished = open_unfinished(folder)
+
+        def motion(attendance: Attendance) -> Recorded:
+            if unfinished.complete.missing:
+                return resume_recording(unfinished, attendance)
+            return recorded_before(unfinished)
+
+        return _attended(unfinished.experiment, motion, operator, observers, accepted, asked)
+
+
+def _confirming(desk: Desk | None, robot: str | None, operator: str) -> Desk:
+    """Return the desk; the motion counts as confirmed if the call names the robot."""
+    confirm: Confirm = Unconfirmed() if desk is None else desk.confirm
+    if robot is not None:
+        confirm = Granted("robot=", operator, {"robot": robot})
+    return replace(desk or console_desk(operator), confirm=confirm)
+
+
+def _reasons(given: Mapping[str, str] | None) -> dict[str, str]:
+    """Why which check's failure is accepted; a waiver without a reason is none.
+
+    Raises:
+        SpecError: They are no reasons by check.
+    """
+    example = "{'disk': 'another disk comes on Monday'}"
+    waivers = values_by_name(given, "waivers", example)
+    for check, reason in waivers.items():
+        if not (isinstance(reason, str) and reason.strip()):
+            raise SpecError(
+                f"the waiver of {check!r} gives no reason", hint=f"for example: waivers={example}"
+            )
+    return {check: reason.strip() for check, reason in waivers.items()}
+
+
+def _attended(
+    experiment: Experiment,
+    motion: Callable[[Attendance], Recorded],
+    operator: str,
+    observers: Sequence[Observer],
+    waivers: Mapping[str, str],
+    at: Desk,
+) -> RunReport:
+    """Motion, fit, verdict and report, with signals and observers looked after."""
+    from hil.engine import require_waivable
+    from hil.workflow.execute import Attendance
+
+    require_waivable(waivers)
+    watching = Observers(tuple(observers))
+    signals = SignalWatch(attended=at.go_on is not nobody_goes_on)
+    try:
+        with signals, contextlib.ExitStack() as until_judged:
+            try:
+                recorded = motion(
+                    Attendance(
+                        watching,
+                        signals,
+                        at.prompt,
+                        at.go_on,
+                        operator,
+                        waivers,
+                        at.wait_s,
+                        at.confirm,
+                        until_judged,
+                    )
+                )
+            except (Exception, StopSignal):
+                # A library that was interrupted may raise an error of its own instead.
+                if signals.seen:
+                    raise signals.stopped() from None
+                raise
+            from hil.workflow.afterwards import judge_and_study
+
+            judged: list[Judged] = []
+            error = judge_and_study(experiment, recorded, signals, watching, judged.append)
+            watching.publish({"kind": "stage", "stage": "writing the report"})
+            with signals.guard():
+                page, problem = _report(recorded.directory.path, judged)
+    finally:
+        watching.close()
+    return _told(recorded, page, error or problem)
+
+
+def _told(recorded: Recorded, page: Path | None, error: HilError | None) -> RunReport:
+    return RunReport(
+        run=recorded.directory.path,
+        uid=str(recorded.directory.start["uid"]),
+        outcome=str(recorded.result.outcome),
+        verdict=verdict_word(recorded.directory.path),
+        samples=recorded.counts["samples"],
+        gaps=recorded.counts["gaps"],
+        duplicates=recorded.counts["duplicates"],
+        models=tuple(models_below(recorded.directory.path)),
+        report=page,
+        error=error,
+    )
+
+
+def _report(run: Path, judged: Sequence[Judged]) -> tuple[Path | None, HilError | None]:
+    from hil.report import render_report
+
+    try:
+        return render_report(run, judged), None
+    except HilError as error:
+        return None, error
