@@ -11,10 +11,10 @@ import pytest
 from test_identify_sources import recording
 from typer.testing import CliRunner
 
+import hil
 from hil.cli.app import app
 from hil.cli.training_line import EVERY_S, TrainingLine
 from hil.core.errors import SpecError
-from hil.evaluation.fitting import fit_sources
 from hil.networks.training_loop.problem import Told
 
 SMALL = {
@@ -83,7 +83,7 @@ def test_a_pipe_gets_nothing(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_an_estimator_that_trains_nothing_refuses_checkpoints(tmp_path: Path) -> None:
     with pytest.raises(SpecError, match="rigid-wls keeps no checkpoints"):
-        fit_sources([], estimator="rigid-wls", checkpoints=tmp_path)
+        hil.fit(tmp_path, estimator="rigid-wls", checkpoints=tmp_path)
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +94,7 @@ def sources(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 
 def fitted(sources: list[Path], out: Path, **more: object) -> dict[str, object]:
-    report = fit_sources(sources, estimator="lagrangian", out=out, **SMALL, **more)
+    report = hil.fit(sources, estimator="lagrangian", out=out, parameters=SMALL, **more)
     return {
         "folder": report.fitted.folder,
         "model": json.loads((report.fitted.folder / "model.json").read_text()),

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import hil
 from hil.core.errors import DataError
 from hil.data.splits import split
 from hil.dynamics import load_model
 from hil.estimators.rigid import RigidWls
 from hil.evaluation import evaluate
-from hil.evaluation.fitting import fit_sources
 from hil.importers import import_recording
 from hil.importers.load import load_source
 
@@ -69,13 +69,13 @@ def test_ur10e_baselines_are_reproduced(
     ur10e, tmp_path, parameters, sources, raw, filtered
 ) -> None:
     train, validation = ur10e
-    report = fit_sources(
+    report = hil.fit(
         train[:sources],
         estimator="rigid-wls",
         robot="ur10e",
         validate=validation,
         out=tmp_path,
-        **parameters,
+        parameters=parameters,
     ).to_dict()
     (entry,) = report["validation"]
     assert entry["mean_raw"] == pytest.approx(raw, rel=0.005)
@@ -101,8 +101,13 @@ def test_ur10e_classical_methods_are_reproduced(
     ur10e, tmp_path, estimator, parameters, raw
 ) -> None:
     train, validation = ur10e
-    (entry,) = fit_sources(
-        train, estimator=estimator, robot="ur10e", validate=validation, out=tmp_path, **parameters
+    (entry,) = hil.fit(
+        train,
+        estimator=estimator,
+        robot="ur10e",
+        validate=validation,
+        out=tmp_path,
+        parameters=parameters,
     ).to_dict()["validation"]
     assert entry["mean_raw"] == pytest.approx(raw, rel=0.01)
 

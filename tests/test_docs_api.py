@@ -8,6 +8,7 @@ import os
 import re
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -35,6 +36,15 @@ def signature(name: str) -> str:
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_signatures_are_those_of_the_code(name: str) -> None:
     assert signature(name) in [block.strip() for block in BLOCKS]
+
+
+@pytest.mark.parametrize("name", hil.__all__)
+def test_a_public_name_is_the_function_of_the_package_that_implements_it(name: str) -> None:
+    public = getattr(hil, name)
+    package = ".".join(public.__module__.split(".")[:2])
+    assert package != "hil.api"
+    assert getattr(import_module(package), name) is public
+    assert public.__name__ == name
 
 
 @pytest.mark.parametrize("report", [RunReport, FitReport], ids=lambda kind: kind.__name__)

@@ -11,10 +11,10 @@ from drift_parts import probe
 from synthetic_motion import LOAD
 from typer.testing import CliRunner
 
+import hil
 from hil.cli.app import app
 from hil.core.errors import DataError, RegistryError
 from hil.estimators.model_writer import plain
-from hil.evaluation.fitting import fit_sources
 from hil.models.drift.history import PROBES_FILE, assess, identity, probes_of
 from hil.models.model_registry import Registry
 from hil.models.pointers import pointed
@@ -27,7 +27,7 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """A champion's folder and what it was fitted to."""
     folder = tmp_path_factory.mktemp("campaign")
     campaign = probe(folder, 1, noise=1)
-    return fit_sources([campaign], estimator="rigid-wls", out=folder).fitted.folder, campaign
+    return hil.fit([campaign], estimator="rigid-wls", out=folder).fitted.folder, campaign
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +83,7 @@ def test_runs_of_probes_lead_to_the_registry(registry, quiet, tmp_path: Path) ->
 def test_a_new_champion_begins_anew(registry, quiet, model, tmp_path: Path) -> None:
     for source in quiet[:3]:
         assess(registry, "ur5", source)
-    other = fit_sources([model[1]], estimator="rigid-irls", out=tmp_path).fitted.folder
+    other = hil.fit([model[1]], estimator="rigid-irls", out=tmp_path).fitted.folder
     number = registry.register("ur5", other, {}).number
     registry.promote("ur5", number, reason="", evidence={}, instead_of=1)
     assert assess(registry, "ur5", quiet[3]).reference == 0

@@ -11,9 +11,9 @@ import pytest
 from drift_parts import probe
 from typer.testing import CliRunner
 
+import hil
 from hil.cli.app import app
 from hil.core.errors import DataError
-from hil.evaluation.fitting import fit_sources
 from hil.models.drift.bands import Banded, banded
 from hil.models.drift.history import assess
 from hil.models.model_registry import Registry
@@ -27,7 +27,7 @@ MOTION, FRICTION_J2 = 30, 3
 def registry(tmp_path_factory: pytest.TempPathFactory) -> Registry:
     """Four quiet probes and two of a robot with more friction."""
     folder = tmp_path_factory.mktemp("drift")
-    campaign = fit_sources([probe(folder, 1, noise=1)], estimator="rigid-wls", out=folder)
+    campaign = hil.fit([probe(folder, 1, noise=1)], estimator="rigid-wls", out=folder)
     made = Registry(folder / "registry")
     made.register("ur5", campaign.fitted.folder, {"effort_kind": "current"})
     made.promote("ur5", 1, reason="the first", evidence={}, instead_of=0)

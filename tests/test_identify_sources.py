@@ -9,7 +9,6 @@ from synthetic_motion import GAINS, LOAD, fourier, nominal, true_torque
 import hil
 from hil.arms.payload import Payload, parse_payload
 from hil.core.errors import DataError, FitError, PluginError, SpecError
-from hil.evaluation.fitting import evaluate_sources, fit_sources
 from hil.importers import ImportMap, import_recording
 from hil.importers.load import load_source
 
@@ -57,7 +56,7 @@ def sources(tmp_path_factory):
 
 
 def test_report_has_the_keys_of_the_contract_and_the_model_is_stored(sources, tmp_path) -> None:
-    report = fit_sources(
+    report = hil.fit(
         sources[:2], estimator="rigid-wls", validate=sources[2:], out=tmp_path
     ).to_dict()
     assert set(report) == {"model", "estimator", "seconds", "validation"}
@@ -81,10 +80,10 @@ def test_report_has_the_keys_of_the_contract_and_the_model_is_stored(sources, tm
 
 
 def test_stored_model_is_judged_again_to_the_same_numbers(sources, tmp_path) -> None:
-    report = fit_sources(
+    report = hil.fit(
         sources[:2], estimator="rigid-wls", validate=sources[2:], out=tmp_path
     ).to_dict()
-    (again,) = evaluate_sources(tmp_path / report["model"], sources[2:])
+    (again,) = hil.evaluate(tmp_path / report["model"], sources[2:])
     (first,) = report["validation"]
     assert again["rmse_raw"] == first["rmse_raw"]
     assert again["nrmse"] == first["nrmse"]
@@ -93,11 +92,11 @@ def test_stored_model_is_judged_again_to_the_same_numbers(sources, tmp_path) -> 
 
 
 def test_judging_a_model_on_its_training_data_is_refused(sources, tmp_path) -> None:
-    report = fit_sources(sources[:2], estimator="rigid-wls", out=tmp_path)
+    report = hil.fit(sources[:2], estimator="rigid-wls", out=tmp_path)
     copy = recording(tmp_path, 1, name="copy", late_s=100.0)
     for source in (sources[1], copy):
         with pytest.raises(DataError, match="about 100 % of its samples are among those") as caught:
-            evaluate_sources(report.fitted.folder, [sources[2], source])
+            hil.evaluate(report.fitted.folder, [sources[2], source])
         assert "1.mcap, 2.mcap" in caught.value.message
         assert "has not seen" in caught.value.hint
 
@@ -105,22 +104,22 @@ def test_judging_a_model_on_its_training_data_is_refused(sources, tmp_path) -> N
 def test_models_of_an_older_hil_are_judged_though_they_do_not_know_their_training(
     sources, tmp_path
 ) -> None:
-    folder = fit_sources(sources[:2], estimator="rigid-wls", out=tmp_path).fitted.folder
+    folder = hil.fit(sources[:2], estimator="rigid-wls", out=tmp_path).fitted.folder
     document = json.loads((folder / "model.json").read_text("utf-8"))
     del document["training"], document["fitted"]["std_error"]
     (folder / "model.json").write_text(json.dumps(document), "utf-8")
-    assert len(evaluate_sources(folder, sources)) == 3
+    assert len(hil.evaluate(folder, sources)) == 3
 
 
 def test_copy_with_its_clock_shifted_is_found(sources, tmp_path) -> None:
     copy = recording(tmp_path, 1, name="later", late_s=17.0)
     with pytest.raises(DataError, match="samples of the test data are also in the training"):
-        fit_sources(sources, estimator="rigid-wls", validate=[copy], out=tmp_path / "models")
+        hil.fit(sources, estimator="rigid-wls", validate=[copy], out=tmp_path / "models")
 
 
 def test_evaluations_of_a_model_are_kept(sources, tmp_path) -> None:
     def fit(*validate):
-        report = fit_sources(sources[:2], estimator="rigid-wls", validate=validate, out=tmp_path)
+        report = hil.fit(sources[:2], estimator="rigid-wls", validate=validate, out=tmp_path)
         path = report.fitted.folder / "evaluation.json"
         return json.loads(path.read_text("utf-8"))["validation"] if path.exists() else None
 
@@ -135,10 +134,10 @@ def test_evaluations_of_a_model_are_kept(sources, tmp_path) -> None:
 
 
 def test_damaged_evaluation_is_refused_rather_than_lost(sources, tmp_path) -> None:
-    folder = fit_sources(sources[:2], estimator="rigid-wls", out=tmp_path).fitted.folder
+    folder = hil.fit(sources[:2], estimator="rigid-wls", out=tmp_path).fitted.folder
     (folder / "evaluation.json").write_text("[1]")
     with pytest.raises(DataError, match="is no evaluation"):
-        fit_sources(sources[:2], estimator="rigid-wls", validate=sources[2:], out=tmp_path)
+        hil.fit(sources[:2], estimator="rigid-wls", validate=sources[2:], out=tmp_path)
     assert (folder / "evaluation.json").read_text() == "[1]"
 
 
@@ -147,23 +146,23 @@ def test_two_individuals_of_a_robot_are_not_pooled(sources, tmp_path) -> None:
     with pytest.raises(
         FitError, match=r"2 different robots, by serial number: SN11 \(11.mcap\)"
     ) as no:
-        fit_sources([a, b], estimator="rigid-wls", out=tmp_path / "models")
+        hil.fit([a, b], estimator="rigid-wls", out=tmp_path / "models")
     assert "--validate" in no.value.hint
-    fit_sources([a, sources[0]], estimator="rigid-wls", out=tmp_path / "models")
+    hil.fit([a, sources[0]], estimator="rigid-wls", out=tmp_path / "models")
 
 
 def test_judging_on_another_individual_is_noted(tmp_path) -> None:
     a, b = (recording(tmp_path, seed, serial=f"SN{seed}") for seed in (11, 12))
-    report = fit_sources([a], estimator="rigid-wls", validate=[b], out=tmp_path / "models")
+    report = hil.fit([a], estimator="rigid-wls", validate=[b], out=tmp_path / "models")
     (note,) = report.validation[0].notes
     assert note == "recorded on another robot (serial SN12) than the training data (SN11)"
-    (entry,) = evaluate_sources(report.fitted.folder, [b])
+    (entry,) = hil.evaluate(report.fitted.folder, [b])
     assert entry["notes"] == [note]
 
 
 def test_same_program_on_another_arm_is_noted_but_judged(sources, tmp_path) -> None:
     again = recording(tmp_path, 1, name="again", load=LOAD)
-    report = fit_sources(
+    report = hil.fit(
         sources[:2], estimator="rigid-wls", validate=[again, sources[2]], out=tmp_path / "models"
     )
     same, new = report.validation
@@ -183,7 +182,7 @@ def test_python_api_takes_one_path_or_several(sources, tmp_path) -> None:
 
 def test_equal_fits_share_a_folder_and_different_ones_do_not(sources, tmp_path) -> None:
     for width in (0.01, 0.01, 0.02):
-        fit_sources(sources[:2], estimator="rigid-wls", out=tmp_path, sign_width=width)
+        hil.fit(sources[:2], estimator="rigid-wls", out=tmp_path, parameters={"sign_width": width})
     assert len(list(tmp_path.iterdir())) == 2
 
 
@@ -191,7 +190,7 @@ def test_declared_payload_overrides_what_the_recordings_say(sources, tmp_path) -
     loaded = [recording(tmp_path, seed, load=LOAD) for seed in (11, 12)]
 
     def error(payload):
-        report = fit_sources(
+        report = hil.fit(
             loaded,
             estimator="rigid-wls",
             payload=payload,
@@ -205,37 +204,37 @@ def test_declared_payload_overrides_what_the_recordings_say(sources, tmp_path) -
 
 def test_validating_on_training_data_is_refused(sources, tmp_path) -> None:
     with pytest.raises(DataError, match="both training and test"):
-        fit_sources(sources, estimator="rigid-wls", validate=sources[:1], out=tmp_path)
+        hil.fit(sources, estimator="rigid-wls", validate=sources[:1], out=tmp_path)
 
 
 def test_training_data_under_another_name_are_found(sources, tmp_path) -> None:
     copy = recording(tmp_path, 1, name="copy")
     with pytest.raises(DataError, match="samples of the test data are also in the training"):
-        fit_sources(sources, estimator="rigid-wls", validate=[copy], out=tmp_path / "models")
+        hil.fit(sources, estimator="rigid-wls", validate=[copy], out=tmp_path / "models")
 
 
 def test_mixed_robots_and_units_are_refused(sources, tmp_path) -> None:
     other = recording(tmp_path, 5, name="other", robot="ur10e")
     with pytest.raises(FitError, match="robot is 'ur5' in one source and 'ur10e'"):
-        fit_sources([*sources, other], estimator="rigid-wls", out=tmp_path)
+        hil.fit([*sources, other], estimator="rigid-wls", out=tmp_path)
     torque = recording(tmp_path, 6, name="torque", effort_kind="torque")
     with pytest.raises(FitError, match=r"a current \[A\], the validation data a torque"):
-        fit_sources(sources, estimator="rigid-wls", validate=[torque], out=tmp_path)
+        hil.fit(sources, estimator="rigid-wls", validate=[torque], out=tmp_path)
 
 
 def test_slips_are_found_before_any_data_are_read(tmp_path) -> None:
     nowhere = [tmp_path / "nowhere.mcap"]
     with pytest.raises(PluginError):
-        fit_sources(nowhere, estimator="rigid", out=tmp_path)
+        hil.fit(nowhere, estimator="rigid", out=tmp_path)
     with pytest.raises(SpecError, match="no parameter 'width'"):
-        fit_sources(nowhere, estimator="rigid-wls", out=tmp_path, width=3)
+        hil.fit(nowhere, estimator="rigid-wls", out=tmp_path, parameters={"width": 3})
 
 
 def test_robot_label_without_a_model_asks_for_one(tmp_path) -> None:
     labelled = recording(tmp_path, 1, robot="our-arm")
     with pytest.raises(SpecError, match="no built-in arm 'our-arm'"):
-        fit_sources([labelled], estimator="rigid-wls", out=tmp_path)
-    report = fit_sources([labelled], estimator="rigid-wls", robot="ur5", out=tmp_path / "models")
+        hil.fit([labelled], estimator="rigid-wls", out=tmp_path)
+    report = hil.fit([labelled], estimator="rigid-wls", robot="ur5", out=tmp_path / "models")
     assert report.fitted.model.robot_.name == "ur5"
 
 
@@ -258,7 +257,7 @@ def test_a_validation_with_another_load_is_judged_three_ways_and_its_load_checke
 ) -> None:
     declared = {"mass_kg": LOAD.mass, "com_m": LOAD.com, "inertia_kgm2": LOAD.inertia}
     loaded = recording(tmp_path, 9, load=LOAD, name="loaded", payload=declared)
-    report = fit_sources(
+    report = hil.fit(
         sources[:2], estimator="rigid-wls", validate=[sources[2], loaded], out=tmp_path / "models"
     ).to_dict()
     bare, under = report["validation"]
@@ -271,5 +270,5 @@ def test_a_validation_with_another_load_is_judged_three_ways_and_its_load_checke
     assert found["agrees"]
     (kept,) = (tmp_path / "models").glob("*/evaluation.json")
     assert json.loads(kept.read_text("utf-8"))["validation"][1]["under_load"] == found
-    (again,) = evaluate_sources(kept.parent, [loaded])
+    (again,) = hil.evaluate(kept.parent, [loaded])
     assert again["under_load"] == found

@@ -24,7 +24,7 @@ HEAVY = {
     "safetensors", "scipy", "sklearn", "sse_starlette", "starlette", "threadpoolctl", "torch",
     "uvicorn", "yaml",
 }  # fmt: skip
-START_FAST = ("hil.cli.", "hil.api.", "hil.testing.plugin.")
+START_FAST = ("hil.cli.", "hil.testing.plugin.")
 
 Import = ast.Import | ast.ImportFrom
 

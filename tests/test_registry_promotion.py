@@ -11,9 +11,9 @@ from synthetic_motion import nominal
 from test_identify_sources import recording
 from typer.testing import CliRunner
 
+import hil
 from hil.cli.app import app
 from hil.core.errors import DataError, Rejected, SpecError
-from hil.evaluation.fitting import fit_sources
 from hil.models.facts import facts_of
 from hil.models.model_registry import Registry
 
@@ -32,8 +32,8 @@ def models(sources, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]
     out = tmp_path_factory.mktemp("models")
     told = {"good": {}, "poor": {"sign_width": 5.0}}
     return {
-        name: fit_sources(
-            [sources[k] for k in TRAINED], estimator="rigid-wls", out=out, **how
+        name: hil.fit(
+            [sources[k] for k in TRAINED], estimator="rigid-wls", out=out, parameters=how
         ).fitted.folder
         for name, how in told.items()
     }

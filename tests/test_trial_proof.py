@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from trial_parts import of_arm
 
+import hil
 from hil.control.trial import leading
 from hil.control.trial.judged import judged, relief
 from hil.control.trial.settings import HALF
-from hil.control.trial.trial import run_trial
 
 pytestmark = pytest.mark.proof
 
@@ -23,7 +23,7 @@ def test_compensation_halves_the_effort_of_the_hand(tmp_path, arm, seed) -> None
         f"  arm: {{driver: mock, model: {arm}, options: {{seed: {seed}}}}}\n"
     )
     folder = of_arm(arm, seed).save(tmp_path / "model")
-    trial = run_trial(folder, station=station, robot="arm")
+    trial = hil.try_out(folder, tmp_path / "out", station=station, robot="arm")
     assert [criterion.name for criterion in judged(trial) if not criterion.met] == []
     for over in (leading.NOTHING, leading.DATASHEET, leading.GRAVITY):
         assert np.all(relief(trial, leading.FRICTION, over) <= HALF)

@@ -21,10 +21,10 @@ import numpy as np
 import pytest
 from ur_mock import MockUr, mock_ur
 
+import hil
 from hil.cli import benchmarking
 from hil.core.errors import RobotConnectionError, SpecError
 from hil.core.typing import StructArray
-from hil.evaluation.fitting import fit_sources
 from hil.importers.load import load_source
 from hil.robot import Listens, Status
 from hil_drivers.ur.receiver import Receiver
@@ -208,10 +208,10 @@ def test_a_program_of_somebody_else_is_recorded_and_fitted_to(tmp_path):
     assert not missed, (document["found"], stood)
     assert len(stood) >= 21  # one more where an axis slipped in the middle of a dwell
     assert {c.payload.mass for c in dwells.conditions} == {0.0}
-    fitted = fit_sources([run], estimator="static-wls", out=tmp_path / "models")
+    fitted = hil.fit([run], estimator="static-wls", out=tmp_path / "models")
     assert fitted.fitted.model.training_ is not None
     assert fitted.fitted.model.training_.samples == 10 * len(stood)
-    moves = fit_sources([run], estimator="rigid-wls", out=tmp_path / "models")
+    moves = hil.fit([run], estimator="rigid-wls", out=tmp_path / "models")
     assert moves.fitted.seconds > 0
 
 

@@ -12,8 +12,8 @@ pytest.importorskip("starlette", reason='the dashboard: pip install "hil[web]"')
 from drift_parts import probe
 from web_parts import SLY, dashboard, plain, seen
 
+import hil
 from hil.dashboard.drawing import LEFT, RIGHT, WIDTH, timeline
-from hil.evaluation.fitting import fit_sources
 from hil.models.drift.history import PROBES_FILE, assess
 from hil.models.log import Entry
 from hil.models.model_registry import Registry
@@ -30,7 +30,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "runs").mkdir()
     registry = Registry(folder / "registry")
     for seed in (1, 2):
-        fitted = fit_sources([probe(folder, seed, noise=1)], estimator="rigid-wls", out=folder)
+        fitted = hil.fit([probe(folder, seed, noise=1)], estimator="rigid-wls", out=folder)
         total = {"mean_raw": 0.1 * seed, "rmse_raw": [0.25 * seed] * 6}
         evaluation = [{"source": SLY, "unit": "A", "total": total}]
         facts = {"estimator": "rigid-wls", "effort_kind": "current", "serial": SLY,

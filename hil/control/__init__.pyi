@@ -19,3 +19,4 @@ from .trial.result import Trial as Trial
 from .trial.settings import FRICTION_SHARE as FRICTION_SHARE
 from .trial.settings import MOST_SEED as MOST_SEED
 from .trial.trial import run_trial as run_trial
+from .trial.trial import trial_place as trial_place

@@ -7,9 +7,11 @@ from .evaluation import filtered_effort as filtered_effort
 from .fitting import DIGEST_LENGTH as DIGEST_LENGTH
 from .fitting import FitReport as FitReport
 from .fitting import Fitted as Fitted
-from .fitting import evaluate_sources as evaluate_sources
 from .fitting import fit_dataset as fit_dataset
-from .fitting import fit_sources as fit_sources
+from .fitting import fit_model as fit_model
+from .fitting import judge_fit as judge_fit
+from .fitting import judge_source as judge_source
+from .fitting import one_serial as one_serial
 from .fitting import usable_part as usable_part
 from .holdout import Parts as Parts
 from .holdout import hold_out as hold_out

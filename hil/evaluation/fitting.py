@@ -1,7 +1,6 @@
-"""Fitting recordings: sources in, a stored and validated model out.
+"""A fitted model, stored and judged on held-out data.
 
-The one place where reading recordings, fitting and judging meet; the estimators themselves see
-nothing but datasets.
+The estimators themselves see nothing but datasets; `hil.workflow.fit` reads the recordings.
 """
 
 from __future__ import annotations
@@ -15,9 +14,7 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from hil.arms import Payload
 from hil.core import (
-    DataError,
     FitError,
     FloatArray,
     RecordingError,
@@ -25,13 +22,11 @@ from hil.core import (
     number,
     require_installed,
 )
-from hil.data import Dataset, assert_disjoint
-from hil.dynamics import RobotModel, load_model
+from hil.data import Dataset
+from hil.dynamics import RobotModel
 from hil.estimators import (
-    DriveGains,
     RobotEstimator,
     Training,
-    load_model_file,
     model_files,
     write_whole,
 )
@@ -46,8 +41,8 @@ from hil.evaluation.validation import (
     serial_notes,
 )
 from hil.evaluation.validation_load import under_load
-from hil.importers import load_source, require_arm_as_recorded, serial_of, with_payload
-from hil.networks import HearsBeginning, Watch, attach, keeps_checkpoints
+from hil.importers import load_source, serial_of
+from hil.networks import Watch, attach, keeps_checkpoints
 
 DIGEST_LENGTH = 12
 
@@ -110,69 +105,6 @@ class FitReport:
         }
 
 
-def fit_sources(
-    sources: Sequence[Path],
-    *,
-    estimator: str,
-    robot: str | None = None,
-    payload: Payload | None = None,
-    gains: DriveGains | None = None,
-    validate: Iterable[Path] = (),
-    out: Path = Path("models"),
-    watch: Watch | None = None,
-    checkpoints: Path | None = None,
-    **params: Any,
-) -> FitReport:
-    """Fit an estimator to recordings and judge it on others.
-
-    Args:
-        sources: Run directories or MCAP files to fit on.
-        estimator: Name in `hil.estimators`.
-        robot: Built-in arm or URDF; by default what the data says.
-        payload: Load of the training sources; by default what the data says.
-        gains: Drive gains; by default those the data declares.
-        validate: Held-out sources, each judged by itself.
-        out: Folder in which the model's folder is made.
-        watch: Told every epoch of estimators that train networks.
-        checkpoints: Folder to keep their training in, and to take it up from.
-        **params: The estimator's own parameters.
-
-    Raises:
-        DataError: A source cannot be read, or is given for training and validation alike; or the
-            checkpoints are of another training.
-        FitError: The data do not allow the fit, or are of different robots or individuals.
-        PluginError: No such estimator, or it needs extras that are not installed; all are named.
-        SpecError: No such parameter or robot.
-        RecordingError: The model cannot be written there.
-    """
-    model = make_estimator(estimator, **params)
-    require_installed([(estimator, model)])
-    _require_folder(out)  # before hours of training
-    attach(model, watch, checkpoints)
-    named = robot is not None
-    parts = [load_source(source, any_arm=named) for source in sources]
-    train = _pooled([gains.of(part) for part in parts] if gains else parts)
-    if payload is not None:
-        train = with_payload(train, payload)
-    serial = _one_serial(sources)
-    for source in () if named else sources:
-        require_arm_as_recorded(source)
-    held_out = [(source, load_source(source, any_arm=named)) for source in validate]
-    for _, data in held_out:
-        _require_same_effort(train, data)
-        # What is not learned from may be shared: warm-ups of two runs on a mock are the same.
-        assert_disjoint(usable_part(train, model), usable_part(data, model))
-    arm = load_model(robot or train.robot, gravity=train.gravity)
-    if isinstance(watch, HearsBeginning) and keeps_checkpoints(model):
-        learn = usable_part(train, model)
-        of = f"{len(learn)} samples in {len(learn.conditions)} series"
-        watch.began(f"training {estimator} on {of}")
-    fitted = _fit(model, train, arm, out, serial)
-    judged = tuple(_validated(fitted, train, source, data) for source, data in held_out)
-    keep(fitted.folder / EVALUATION_FILE, judged)
-    return FitReport(fitted, judged)
-
-
 def fit_dataset(
     dataset: Dataset,
     estimator: str,
@@ -203,32 +135,46 @@ def fit_dataset(
     """
     if serial is None:
         named = dict.fromkeys(condition.source for condition in dataset.conditions)
-        serial = _one_serial([Path(one) for one in named if one and Path(one).exists()])
+        serial = one_serial([Path(one) for one in named if one and Path(one).exists()])
     model = make_estimator(estimator, **params)
     require_installed([(estimator, model)])
     attach(model, watch, checkpoints if keeps_checkpoints(model) else None)
-    return _fit(model, dataset, robot, out, serial)
+    return fit_model(model, dataset, robot, out, serial)
 
 
-def evaluate_sources(model: Path, sources: Iterable[Path]) -> list[dict[str, Any]]:
-    """Judge a stored model; one entry per source, with the keys of `FitReport.to_dict`.
+def judge_fit(
+    fitted: Fitted, train: Dataset, held_out: Iterable[tuple[Path, Dataset]]
+) -> FitReport:
+    """Judge a model that was just fitted on held-out sources; kept in its folder.
+
+    Args:
+        fitted: The model.
+        train: What it was fitted to.
+        held_out: Each source, and its samples.
 
     Raises:
-        DataError: The model or a source cannot be read, they do not belong together, or the
-            source was among the model's training data.
+        DataError: What is kept there already is damaged.
     """
-    stored = load_model_file(model)
-    trained = stored.training_
-    found = []
-    for source in sources:
-        data = usable_part(load_source(source), stored)
-        require_unseen(stored, source, data)
-        with threadpool_limits(1):
-            errors = evaluate(stored, data, trained.effort_std if trained else None)
-            under = under_load(stored, data, trained.payloads if trained else None)
-        notes = serial_notes(trained.serial if trained else "", source)
-        found.append(Validation(str(source), errors, tuple(notes), under).to_dict())
-    return found
+    judged = tuple(_validated(fitted, train, source, data) for source, data in held_out)
+    keep(fitted.folder / EVALUATION_FILE, judged)
+    return FitReport(fitted, judged)
+
+
+def judge_source(model: RobotEstimator, source: Path) -> Validation:
+    """Judge a stored model on a source that it has not seen.
+
+    Raises:
+        DataError: The source cannot be read, does not belong to the model, or was among its
+            training data.
+    """
+    trained = model.training_
+    data = usable_part(load_source(source), model)
+    require_unseen(model, source, data)
+    with threadpool_limits(1):
+        errors = evaluate(model, data, trained.effort_std if trained else None)
+        under = under_load(model, data, trained.payloads if trained else None)
+    notes = serial_notes(trained.serial if trained else "", source)
+    return Validation(str(source), errors, tuple(notes), under)
 
 
 def usable_part(dataset: Dataset, model: RobotEstimator) -> Dataset:
@@ -249,9 +195,22 @@ def usable_part(dataset: Dataset, model: RobotEstimator) -> Dataset:
     )
 
 
-def _fit(
+def fit_model(
     model: RobotEstimator, dataset: Dataset, robot: RobotModel, out: Path, serial: str
 ) -> Fitted:
+    """Fit an estimator to a dataset and store the model under `out`.
+
+    Args:
+        model: Of the estimator, not fitted.
+        dataset: To fit to.
+        robot: Model of the arm.
+        out: Folder in which the model's folder is made.
+        serial: Of the robot; empty when nobody said.
+
+    Raises:
+        FitError: The data do not allow it.
+        RecordingError: The model cannot be written there.
+    """
     train = usable_part(dataset, model)
     begin = time.perf_counter()
     # The matrices are tall and thin: more BLAS threads only spin (measured: 20× slower).
@@ -261,11 +220,6 @@ def _fit(
     training = replace(Training.of(train), serial=serial)
     model.training_ = training
     return Fitted(model, _store(model, out), seconds, training.effort_std)
-
-
-def _require_folder(out: Path) -> None:
-    if out.exists() and not out.is_dir():
-        raise RecordingError(f"{out} is a file", hint="choose another folder for models")
 
 
 def _store(model: RobotEstimator, out: Path) -> Path:
@@ -298,8 +252,12 @@ def _validated(fitted: Fitted, train: Dataset, source: Path, data: Dataset) -> V
     return Validation(str(source), errors, notes, under)
 
 
-def _one_serial(sources: Sequence[Path]) -> str:
-    """Serial number of the robot all sources were recorded on; empty when nobody said."""
+def one_serial(sources: Sequence[Path]) -> str:
+    """Return the serial number of the robot of all sources; empty when nobody said.
+
+    Raises:
+        FitError: They are of several robots.
+    """
     serials = {serial: source for source in sources if (serial := serial_of(source))}
     if len(serials) > 1:
         listed = ", ".join(f"{serial} ({source.name})" for serial, source in serials.items())
@@ -308,19 +266,3 @@ def _one_serial(sources: Sequence[Path]) -> str:
             hint="fit each robot by itself; judge its model on the others with --validate",
         )
     return next(iter(serials), "")
-
-
-def _pooled(parts: Sequence[Dataset]) -> Dataset:
-    try:
-        return Dataset.concatenate(parts)
-    except DataError as error:
-        raise FitError(error.message, hint=error.hint) from error
-
-
-def _require_same_effort(train: Dataset, test: Dataset) -> None:
-    if train.effort_kind != test.effort_kind:
-        raise FitError(
-            f"the training data hold a {train.effort_kind} [{train.effort_unit}], the validation "
-            f"data a {test.effort_kind} [{test.effort_unit}]",
-            hint="fit and validate on recordings of the same quantity",
-        )

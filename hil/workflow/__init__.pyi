@@ -24,6 +24,8 @@ from .driver_check import checked_robot as checked_robot
 from .excitation import appraise_excitation as appraise_excitation
 from .extras import missing_extras as missing_extras
 from .extras import require_extras as require_extras
+from .fitting import evaluate as evaluate
+from .fitting import fit as fit
 from .following import EventTail as EventTail
 from .following import follow as follow
 from .following import how_it_ended as how_it_ended
@@ -76,4 +78,5 @@ from .studies import missing_studies as missing_studies
 from .studies import run_studies as run_studies
 from .studies import study as study
 from .studies import unwatched as unwatched
+from .trying import try_out as try_out
 from .under_loads import STUDY as STUDY

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,66 +17,92 @@ from hil.control.trial.leading import HAND_FIRMNESS
 from hil.control.trial.reference import SWINGS_DEG, Leading, leading_for, trajectory_for
 from hil.control.trial.result import Trial
 from hil.control.trial.runs import Progress, guidings, led_with, tracked_by
-from hil.control.trial.settings import FRICTION_SHARE, MOST_SEED
+from hil.control.trial.settings import MOST_SEED
 from hil.core import SpecError
 from hil.estimators import RobotEstimator, load_model_file, require_torque
 from hil.spec import StationRobot
 
 
-def run_trial(
-    folder: Path,
-    *,
-    station: Path | None = None,
-    robot: str | None = None,
-    payload: Payload | None = None,
-    seed: int = 0,
-    friction_share: float = FRICTION_SHARE,
-    progress: Progress = lambda text: None,
-) -> Trial:
-    """Try a stored model on the simulated arm of its station.
+@dataclass(frozen=True, slots=True)
+class TrialPlace:
+    """A model, and the simulated arm on which it is tried.
+
+    Attributes:
+        folder: Of the model.
+        model: The model.
+        bench: The arm, and what it carries.
+        where: The arm in words.
+        named: Whether its station was named.
+    """
+
+    folder: Path
+    model: RobotEstimator
+    bench: Bench
+    where: str
+    named: bool
+
+
+def trial_place(
+    folder: Path, station: Path | None, robot: str | None, load: Payload | None
+) -> TrialPlace:
+    """Return the simulated arm of a model; nothing moves.
 
     Args:
         folder: The model.
         station: Station file; by default the one experiments here would use.
         robot: Name in the station; by default its only robot of the model's kind.
-        payload: What is mounted, and told to the model.
+        load: What is mounted, and told to the model.
+
+    Raises:
+        FitError: Nobody knows the model's torques.
+        SpecError: The robot is no simulated one with torque control, or is another arm.
+        DataError: The model cannot be read.
+    """
+    model = load_model_file(folder)
+    require_torque(model)
+    entry, found = place_of(model, station, robot)
+    name, where = _named(found, entry)
+    require_simulated(name, entry)
+    bench = Bench(name, entry, load or Payload())
+    return TrialPlace(folder, model, bench, where, named=" of " in where)
+
+
+def run_trial(place: TrialPlace, seed: int, friction_share: float, progress: Progress) -> Trial:
+    """Try a model on its simulated arm.
+
+    Args:
+        place: Model and arm.
         seed: Of the trajectory; counted apart from those of experiments.
         friction_share: Of the dry friction, compensated while a hand leads; below 1.
         progress: Is told what is being run.
 
     Raises:
-        FitError: The model has no gravity, or nobody knows its torques.
-        SpecError: The robot is no simulated one with torque control, or is another arm; nobody
-            named a station, and the mock there is otherwise is not the arm of the model; an
-            argument cannot be.
+        FitError: The model has no gravity.
+        SpecError: Nobody named a station, and the mock there is otherwise is not the arm of the
+            model; or an argument cannot be.
         PlanError: There is no clear motion.
-        DataError: The model cannot be read.
     """
     begin = time.perf_counter()
     if not 0 <= seed <= MOST_SEED:
         raise SpecError(
             f"the seed is {seed}, but must be 0 to {MOST_SEED}", hint="choose another --seed"
         )
-    model = load_model_file(folder)
-    require_torque(model)
-    entry, where = place_of(model, station, robot)
-    name, where = _named(where, entry)
-    require_simulated(name, entry)
-    bench = Bench(name, entry, payload or Payload())
+    model, bench = place.model, place.bench
     helped, notes = guidings(model, bench, friction_share)
     progress("planning")
     way = leading_for(bench)
     with bench.arm(way.start) as arm:
         serial = arm.serial
-    fitted_on = _same_individual(model, serial, named=" of " in where)
+    fitted_on = _same_individual(model, serial, named=place.named)
     reference = trajectory_for(bench, seed)
     pd = spring_for(model.robot_, reference.q[:: round(RATE_HZ / 20)])
     tracked = tracked_by(model, bench, reference, pd, progress)
     led = led_with(helped, model, bench, way, pd.firmer(HAND_FIRMNESS), progress)
     told = (*_about(model, serial, fitted_on), *notes, *_short_ways(way, model.joint_names_))
     return Trial(
-        str(folder), model.estimator, where, serial, fitted_on, model.joint_names_, bench.payload,
-        seed, friction_share, pd, tracked, way, led, time.perf_counter() - begin, told,
+        str(place.folder), model.estimator, place.where, serial, fitted_on, model.joint_names_,
+        bench.payload, seed, friction_share, pd, tracked, way, led,
+        time.perf_counter() - begin, told,
     )  # fmt: skip
 
 
