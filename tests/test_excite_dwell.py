@@ -133,7 +133,7 @@ def test_an_unreachable_visit_is_replaced_by_a_spare() -> None:
     )
     actions = measured(workspace, Program([lost], [spare], shuffle_seed=0))
     assert [a.pose for a in actions if a.kind == "dwell"] == [1]
-    with pytest.raises(PlanError, match="pose 0: no clear way leads there"):
+    with pytest.raises(PlanError, match="pose 0: no clear path leads there"):
         measured(workspace, Program([lost], [], shuffle_seed=0))
 
 
@@ -257,7 +257,7 @@ def test_all_mistakes_of_a_file_are_told_with_their_lines(tmp_path: Path) -> Non
 
 def test_a_pose_that_cannot_be_reached_is_told(tmp_path: Path) -> None:
     workspace = toy_workspace(lambda q: np.abs(q[:, 0] - 1.0) - 0.1)
-    with pytest.raises(SpecError, match=r"poses.csv:2: no clear way leads there"):
+    with pytest.raises(SpecError, match=r"poses.csv:2: no clear path leads there"):
         file_program(tmp_path, "0.5, 0.6\n1.4, 0.0\n", workspace)
 
 

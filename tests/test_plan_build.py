@@ -259,7 +259,7 @@ def test_a_current_pose_too_close_to_something_is_refused_with_figures() -> None
 def test_a_current_pose_that_nothing_leads_away_from_is_refused() -> None:
     # The wrist is folded to the far side of the forearm, a turn away from everything else.
     start = np.radians([0, -90, 90, 160, -90, 0])
-    with pytest.raises(PlanError, match="no clear way leads from it to the poses"):
+    with pytest.raises(PlanError, match="no clear path leads from it to the poses"):
         build_plan(spec_of(), ur5(), start_q=start)
 
 

@@ -280,7 +280,7 @@ def test_a_way_that_is_missing_names_both_poses_and_the_side() -> None:
         pose_visit(workspace, np.array(q), "free", 0.05, label=f"pose {i}", pose=i)
         for i, q in enumerate([(0.0, 0.1), (1.4, 0.0)])
     ]
-    with pytest.raises(PlanError, match="pose 1: no clear way leads there from pose 0; on the"):
+    with pytest.raises(PlanError, match="pose 1: no clear path leads there from pose 0; on the"):
         list(Arrangement(roadmap, every=9).measure(Program(visits), roadmap.home))
 
 
@@ -312,7 +312,7 @@ def test_a_confined_program_is_planned_in_the_room_of_its_poses() -> None:
 def test_a_robot_in_another_room_of_the_box_than_the_program_names_the_side() -> None:
     workspace = toy_workspace(space=TwoRooms())
     roadmap = roadmap_of(workspace, wanted=SMALL_ROOM[None], start=LARGE_ROOM)
-    with pytest.raises(PlanError, match=r"no clear way leads from it .* x of max_m") as caught:
+    with pytest.raises(PlanError, match=r"no clear path leads from it .* x of max_m") as caught:
         checked_start(LARGE_ROOM, roadmap)
     assert "move that side of the workspace interlock" in caught.value.hint
 

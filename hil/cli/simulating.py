@@ -25,7 +25,7 @@ def simulate(
     runs: RunsOption = Path("runs"),
     json: JsonFlag = False,
 ) -> None:
-    """Live through weeks of a schedule at once, on the embedded mock, which wears and warms."""
+    """Simulate weeks of a schedule at once on the embedded mock, with wear and changing rooms."""
     from hil.core import new_folder
     from hil.engine import ignore_from_now_on
     from hil.maintenance import bind, require_mock

@@ -27,7 +27,7 @@ def path_of(given: AnyPath) -> Path:
 
 
 def paths_of(given: AnyPath | Iterable[AnyPath]) -> list[Path]:
-    """Return one path or several; a text is a path, not a row of letters.
+    """Return a list of paths; a string counts as one path, not as a sequence of characters.
 
     Raises:
         SpecError: They are none.

@@ -28,7 +28,7 @@ _ESCAPES = re.compile(r"\\\\|(?:\\x[0-9a-f]{2})+")
 
 
 def utf8_text(text: str) -> str:
-    r"""Return a text that UTF-8 can hold: a byte of a name that is not UTF-8 as ``\xff``."""
+    r"""Return text that UTF-8 can encode; bytes of a name that are not UTF-8 become ``\xff``."""
     return _SURROGATE.sub(_escaped, text)
 
 

@@ -35,7 +35,7 @@ class OncePerMinute(logging.Filter):
     Records with the same logger, template and exception type are one kind.
 
     Args:
-        every_s: How long a minute is [s].
+        every_s: Interval between two records of one kind [s]; a minute by default.
     """
 
     def __init__(self, every_s: float = 60.0) -> None:

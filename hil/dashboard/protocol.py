@@ -33,7 +33,7 @@ class Limits:
         headers_s: From the first byte of a request (or from connecting) to the end of its
             headers [s].
         body_s: From there to the end of its body [s].
-        unread_s: For which nothing of an answer may be read [s].
+        unread_s: Longest time in which a client reads nothing of an answer [s].
         arriving: Connections whose request is not whole, at the same time.
     """
 

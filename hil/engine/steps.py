@@ -36,7 +36,7 @@ DWELL_GRACE_S = 2.0
 """How much longer than its own time-out a dwell may take before the robot counts as hung [s]."""
 
 LEAST_SHARE = 0.02
-"""Below this share of the planned speed a move times out as at this share."""
+"""Smallest speed share used to extend a move's time-out; lower shares count as this one."""
 
 Measured = Callable[[Step, StructArray], object]
 """Is given the settled rows of every dwell; may raise when they say that something is wrong."""

@@ -19,8 +19,9 @@ GAP_S = 0.5
 """Longest interval between two checks of a process that runs; a longer one is a gap [s]."""
 
 RECENT_S = 1.0
-"""Time before the last block [s]: a silence of the robot is attributed to a gap that ended within
-this time, or later. After an earlier gap the robot has sent data again."""
+"""A silence of the robot is attributed to a gap in this process's execution if that gap ended at
+most this long before the last block, or after it [s]. After an earlier gap the robot has sent data
+again."""
 
 _GAPS_KEPT = 100
 

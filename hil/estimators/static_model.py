@@ -27,7 +27,7 @@ CURRENT_PART = "measured current² (paper protocol)"
 class StaticModel(WlsEstimator):
     """Gravity and offset of an arm at rest, linear in the parameters.
 
-    At rest, gravity is the motor's torque, φ_j·θ_j = K₂·i²·sign(i) + K₁·i + K₀ (eq. 18 of the static
+    At rest, gravity is the motor's torque, φ_j·θ_j = K₂·i²·sign(i) + K₁·i + K₀ (eq. 18, static
     paper). Divided by K₁ (eq. 19) it is linear: with `current_term` joint j's regressor is
     R_j = [φ_j, i²·sign(i), 1] (eq. 20), and its last two coefficients are −K₂/K₁ and −K₀/K₁ after
     division by `torque_scale_[j]`.

@@ -59,7 +59,7 @@ class Arrangement:
         lines = self.roadmap.way(here, self.roadmap.home)
         if lines is None:
             raise PlanError(
-                f"no clear way leads away from the pose {_degrees(here)}",
+                f"no clear path leads away from the pose {_degrees(here)}",
                 hint="jog the robot to a pose with more room around it and plan again",
             )
         return _moves(lines)
@@ -129,7 +129,7 @@ class Arrangement:
         return out
 
     def _out_of_reach(self, visits: Sequence[Visit], here: FloatArray, last: str) -> PlanError:
-        """Return the error for visits to which no clear way leads from `here` (n,).
+        """Return the error for visits to which no clear path leads from `here` (n,).
 
         Args:
             visits: At least one.
@@ -138,7 +138,7 @@ class Arrangement:
         """
         workspace, start = self.workspace, last or f"the pose {_degrees(here)}"
         problems = [
-            f"{visit.label}: no clear way leads there from {start}; on the straight path: "
+            f"{visit.label}: no clear path leads there from {start}; on the straight path: "
             f"{workspace.obstacle([workspace.line(here, visit.entry)])}"
             for visit in visits[:MOST_PROBLEMS]
         ]

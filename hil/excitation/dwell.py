@@ -137,5 +137,5 @@ def _complaints(roadmap: Roadmap, q: FloatArray, visit: Visit) -> list[str]:
         return [f"{visit.label}: on its approach: {workspace.obstacle(visit.motions)}"]
     if roadmap.way(roadmap.home, visit.entry) is None:
         straight = workspace.obstacle([workspace.line(roadmap.home, visit.entry)])
-        return [f"{visit.label}: no clear way leads there; on the straight path: {straight}"]
+        return [f"{visit.label}: no clear path leads there; on the straight path: {straight}"]
     return []

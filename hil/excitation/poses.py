@@ -24,7 +24,8 @@ FEWEST_INSIDE = 64
 """Poses of a block where the flange is confined: fewer are not worth a look at their ways."""
 
 ENOUGH = 8
-"""Clear poses that the least share would have given, before the share is judged."""
+"""The share is judged once so many poses were drawn that the minimum share would give this many
+clear ones."""
 
 
 def draw_poses(workspace: Workspace, seed: int, part: str = "poses") -> Iterator[FloatArray]:

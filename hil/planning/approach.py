@@ -50,7 +50,7 @@ class Approach:
         lines = self._roadmap.way(here, target)
         if lines is None:
             raise PlanError(
-                f"no clear way leads from {_degrees(here)} to {_degrees(target)}",
+                f"no clear path leads from {_degrees(here)} to {_degrees(target)}",
                 hint="jog the robot to a pose with more room around it and resume from there",
             )
         return lines

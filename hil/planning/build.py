@@ -169,7 +169,7 @@ def _reference(spec: ExperimentSpec, roadmap: Roadmap, q: FloatArray) -> Visit |
     if roadmap.way(roadmap.home, visit.entry) is None:
         why = workspace.obstacle([workspace.line(roadmap.home, visit.entry)])
         raise PlanError(
-            f"no clear way leads to the reference pose; on the straight path: {why}",
+            f"no clear path leads to the reference pose; on the straight path: {why}",
             hint=f"{workspace.larger_space}choose another reference.q_deg",
         )
     return visit

@@ -15,7 +15,8 @@ from hil.spec import Dwell, Excess, ExperimentSpec, Fourier, Interlock, Workspac
 TOLERANCE = 1e-9
 
 SOME_POSES = 16384
-"""Poses of which at least one has to be inside a workspace: planning needs several in as many."""
+"""Number of random poses tried; at least one must lie inside the workspace, because planning
+needs several among that many."""
 
 
 def excesses(

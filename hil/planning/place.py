@@ -127,7 +127,7 @@ def checked_start(start: FloatArray, roadmap: Roadmap) -> FloatArray:
     """The pose (n,) [rad] the robot stands in, once it is known that it can leave it.
 
     Raises:
-        PlanError: It is no pose, touches something, or no clear way leads away from it.
+        PlanError: It is no pose, touches something, or no clear path leads away from it.
     """
     workspace = roadmap.workspace
     _require_pose(start, workspace)
@@ -135,7 +135,7 @@ def checked_start(start: FloatArray, roadmap: Roadmap) -> FloatArray:
     ways = ["jog the robot to a pose with more room around it and plan again"]
     if not complaint and roadmap.way(start, roadmap.home) is None:
         why = workspace.obstacle([workspace.line(start, roadmap.home)])
-        complaint = "no clear way leads from it to the poses of the program" + (
+        complaint = "no clear path leads from it to the poses of the program" + (
             f"; on the straight one to the roomiest of them {why}" if why else ""
         )
         confined = workspace.space is not None

@@ -173,7 +173,7 @@ def _storage(git: _Git, config: Path) -> bytes:
 
 
 def _find(directory: Path) -> _Repository | None:
-    """Return the repository around a folder."""
+    """Return the repository that contains a folder; None if there is none."""
     here = directory.resolve()
     for tree in (here, *here.parents):
         own = tree / ".git"

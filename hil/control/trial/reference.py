@@ -136,7 +136,7 @@ def leading_for(bench: Bench) -> Leading:
         together = Leading(start, together.swing / 2)
         if np.abs(together.swing).max() < np.radians(1.0):
             raise PlanError(
-                "no clear way leads all joints of the arm together",
+                "no clear path leads all joints of the arm together",
                 hint="make the range smaller, or give the obstacles of the station more room",
             )
     return together
