@@ -9,6 +9,7 @@ import pytest
 from report_html import Page, array_of
 from report_runs import JOINTS, dwell_plan, fourier_plan, rows_of_plan, write_run
 
+import hil
 from hil.core.errors import DataError, RecordingError
 from hil.importers.load import load_source
 from hil.report import render_fit_report, render_report
@@ -406,9 +407,7 @@ def test_a_run_of_a_newer_hil_is_refused_and_gets_no_page(tmp_path):
 
 
 def test_a_model_judged_outside_a_run_gets_the_same_page(fourier, tmp_path):
-    from hil.evaluation.fitting import fit_sources
-
-    found = fit_sources([fourier.path], estimator="rigid-wls", validate=[], out=tmp_path / "models")
+    found = hil.fit([fourier.path], estimator="rigid-wls", validate=[], out=tmp_path / "models")
     folder = found.fitted.folder
     with pytest.raises(DataError, match="no evaluation"):
         render_fit_report(folder, {}, tmp_path / "page.html")
