@@ -97,7 +97,7 @@ def _interlocks(spec: ExperimentSpec, bodies: CollisionModel) -> Interlocks:
         clearance=SampleDistances(bodies),
         clearance_m=0.02,
         behind_s=lambda: 0.0,
-        folder=Path(),
+        folder=Path,
     )
     return interlocks_from_spec(spec.interlocks, context)
 

@@ -1,3 +1,4 @@
+from .arms import AnyPayload as AnyPayload
 from .control import rest_poses as rest_poses
 from .core import AnyPath as AnyPath
 from .core import parse_parameters as parse_parameters

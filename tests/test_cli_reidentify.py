@@ -97,6 +97,21 @@ def test_what_is_asked_again_within_a_second_is_done_again(
     assert asked == [now + timedelta(seconds=k) for k in range(3)]
 
 
+def test_a_schedule_that_is_held_is_not_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_schedule(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    with kept(Path("schedules/weekly"), "weekly") as ledger:
+        ledger.start("weekly", datetime.now(UTC))
+        ledger.add("held", datetime.now(UTC), why="tool change", by="root")
+    told = CliRunner().invoke(app, ["reidentify", "weekly.yaml"])
+    assert isinstance(told.exception, DataError)
+    assert "the schedule weekly is held: tool change" in str(told.exception)
+    assert "hil schedule release weekly.yaml" in told.exception.hint
+    assert not (tmp_path / "runs").exists()
+
+
 def test_hil_run_names_the_verbs_for_a_schedule(tmp_path: Path) -> None:
     told = CliRunner().invoke(app, ["run", str(write_schedule(tmp_path))])
     assert isinstance(told.exception, SpecError)

@@ -95,7 +95,7 @@ def test_looking_disturbs_no_judgement(measured: Distances) -> None:
 def test_backlog_and_disk() -> None:
     backlog: Any = Backlog(lambda: 0.5, 2.0).margin(rows())
     assert (backlog.value, backlog.share) == (0.5, 0.75)
-    disk = FreeSpace(Path(), 500, free=lambda folder: 2_000_000_000)
+    disk = FreeSpace(Path, 500, free=lambda folder: 2_000_000_000)
     assert disk.margin(rows()) is None  # nobody has looked yet
     disk.check(rows())
     found: Any = disk.margin(rows())

@@ -6,15 +6,19 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from interlock_parts import NAMES, made, rows, spec_of
 
 from hil.engine.interlocks import Backlog, FreeSpace, InterlockContext, interlocks_from_spec
+from hil.planning import load
+from hil.workflow.interlocks import RunInterlocks
+from hil.workflow.preview import planned
 
 BLOCK = rows()
-HERE = Path()
+HERE = Path
 MB = 1_000_000
 
 
@@ -176,3 +180,30 @@ def test_closing_ends_the_thread_and_nothing_begins_before_the_first_check() -> 
     interlocks.close()
     interlocks.close()
     assert threads() == before
+
+
+def test_the_interlocks_of_a_run_watch_its_own_folder_and_recorder(tmp_path: Path) -> None:
+    """Made before the motion is confirmed, they get both when the recording begins."""
+    spec, station = tmp_path / "spec.yaml", tmp_path / "station.yaml"
+    spec.write_text(
+        "hil: 1\nname: short\nrobot: ur5\nexcitation: {kind: dwell, waypoints: 20, seed: 7}\n"
+        "interlocks: [{kind: recorder, behind_s: 2}, {kind: disk, free_mb: 1.0e+12}]\n"
+    )
+    station.write_text(
+        "hil_station: 1\nrobots: {ur5: {driver: mock, model: ur5, options: {clock: wall}}}\n"
+    )
+    with planned(load(spec, station)) as (robot, plan, _):
+        interlocks = RunInterlocks(load(spec, station), robot, plan)
+    backlog, disk = (one for one in interlocks.all if one.name in ("recorder", "disk"))
+    for one in (backlog, disk):
+        with pytest.raises(RuntimeError, match="before the recording has begun"):
+            one.check(BLOCK)
+    recorder: Any = SimpleNamespace(behind_s=1.0)
+    interlocks.watch_recording(tmp_path, recorder)
+    assert backlog.check(BLOCK) is None
+    recorder.behind_s = 3.0
+    assert backlog.check(BLOCK) is not None
+    trip = disk.check(BLOCK)
+    interlocks.all.close()
+    assert trip is not None
+    assert f"free space for {tmp_path}" in trip.text(NAMES)

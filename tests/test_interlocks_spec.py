@@ -118,7 +118,7 @@ def test_one_kind_may_pause_first_and_stop_later() -> None:
 
 def test_a_default_is_switched_off_by_its_name_only() -> None:
     spec = with_interlocks("{kind: disk, enabled: false}, {kind: torque, enabled: false}")
-    made = interlocks_from_spec(spec.interlocks, InterlockContext(folder=Path()))
+    made = interlocks_from_spec(spec.interlocks, InterlockContext(folder=Path))
     assert not {"disk", "torque"} & {interlock.name for interlock in made}
     assert {(off.name, off.why) for off in made.off} >= {("disk", "switched off in the spec")}
 
@@ -282,7 +282,7 @@ def test_the_spec_of_a_run_is_readable_where_its_plug_in_is_missing(tmp_path: Pa
 
 
 def test_the_default_set_lets_a_quiet_robot_be() -> None:
-    interlocks = interlocks_from_spec(DEFAULTS, InterlockContext(joint_names=NAMES, folder=Path()))
+    interlocks = interlocks_from_spec(DEFAULTS, InterlockContext(joint_names=NAMES, folder=Path))
     block = rows(8)
     assert all(interlock.check(block) is None for interlock in interlocks)
     interlocks.close()

@@ -55,7 +55,8 @@ NOT_ASKED = {
     "models repair",  # documents
     "fleet run", "fleet resume", "fleet drift", "fleet report",  # by what `resume` and `drift` use
     "schedule run", "schedule plan", "schedule show", "schedule hold", "schedule release",
-    "schedule systemd", "schedule arm",  # by what `run` and `drift` use
+    "schedule systemd", "schedule arm", "schedule simulate",
+    "reidentify",  # by what `run` and `drift` use
 }  # fmt: skip
 
 

@@ -176,7 +176,8 @@ def test_a_duration_that_is_none_is_refused(tmp_path: Path) -> None:
 
 def test_an_experiment_has_no_weeks(tmp_path: Path) -> None:
     written(tmp_path)
-    assert "schedule" in refused(tmp_path, tmp_path / "probe.yaml", "2w")
+    said = refused(tmp_path, tmp_path / "probe.yaml", "2w")
+    assert "this file is an experiment, but a schedule is needed here" in said
 
 
 def refused(folder: Path, path: Path, lasting: str) -> str:

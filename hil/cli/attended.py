@@ -94,12 +94,11 @@ class Attended:
 
     def run(self, experiment: Experiment, runs: Path) -> RunReport:
         """Run an experiment."""
-        from hil.workflow import checked_robot
-        from hil.workflow import run as run_experiment
+        from hil.workflow import checked_robot, run_opened
 
         with checked_robot(experiment) as robot:
             confirm = self.together.begin(experiment) if self.together else self._confirm()
-            move = partial(run_experiment, experiment, runs=runs, opened=robot)
+            move = partial(run_opened, experiment, robot, runs=runs)
             return self._attend(lambda: robot.capabilities, move, confirm)
 
     def resume(self, run: Path) -> RunReport:

@@ -67,6 +67,11 @@ def specs(given: Given, begun: str) -> list[str]:
     return _yaml(begun, ("hil:", "hil_series:", "hil_schedule:"))
 
 
+def motions(given: Given, begun: str) -> list[str]:
+    """Experiments and series here and in `experiments`."""
+    return _yaml(begun, ("hil:", "hil_series:"))
+
+
 def schedules(given: Given, begun: str) -> list[str]:
     """Schedules here and in `experiments`."""
     return _yaml(begun, ("hil_schedule:",))

@@ -26,7 +26,7 @@ def simulate(
     json: JsonFlag = False,
 ) -> None:
     """Simulate weeks of a schedule at once on the embedded mock, with wear and changing rooms."""
-    from hil.core import new_folder
+    from hil.core import new_folder, read_source
     from hil.engine import ignore_from_now_on
     from hil.maintenance import bind, require_mock
     from hil.maintenance import simulate as live_through
@@ -35,8 +35,9 @@ def simulate(
     from hil.spec import load_schedule_spec
     from hil.workflow import require_extras
 
-    spec, duration = load_schedule_spec(file), _duration(lasting)
-    bound = bind(spec, station, file)
+    source, duration = read_source(file), _duration(lasting)
+    spec = load_schedule_spec(source)
+    bound = bind(spec, station, source)
     require_mock(bound)
     for experiment in bound.experiments:
         require_extras(experiment.spec)

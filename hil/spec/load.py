@@ -208,7 +208,7 @@ _USES = {
     "hil_station": "hil run SPEC --station FILE",
     "hil_map": "hil import RECORDING --map FILE -o OUT",
     "hil_series": "hil run FILE",
-    "hil_schedule": "hil reidentify FILE, hil schedule run FILE",
+    "hil_schedule": "hil schedule plan FILE, hil schedule run FILE, hil reidentify FILE",
     "hil_fleet": "hil fleet run SPEC --robots FILE",
     "capsules": "the robots of a station, as `model: FILE`",
 }

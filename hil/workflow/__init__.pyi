@@ -53,6 +53,7 @@ from .robot_status import bench as bench
 from .run_report import RunReport as RunReport
 from .running import resume as resume
 from .running import run as run
+from .running import run_opened as run_opened
 from .series import Ended as Ended
 from .series import Series as Series
 from .series import SeriesReport as SeriesReport

@@ -112,7 +112,7 @@ def _engine(
 ) -> Engine:
     """The engine, and `around` it what is to be closed after it."""
     directory, interlocks = attempt.directory, attempt.interlocks.all
-    attempt.interlocks.recorder = recorder
+    attempt.interlocks.watch_recording(directory.path, recorder)
     around.callback(interlocks.close)
     sink.event("interlocks", watching=interlocks.describe())
     prompt = prompt_on(robot, attendance.prompt)

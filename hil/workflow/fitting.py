@@ -75,12 +75,12 @@ def fit(
     learned, judged_on = sources_of(sources), paths_of(validate)
     load, calibrated = payload_of(payload), read_gains(path_of(gains)) if gains else None
     place, kept = path_of(out), None if checkpoints is None else path_of(checkpoints)
-    model = make_estimator(estimator, **_own_parameters(parameters))
     if page is not None and not judged_on:
         raise SpecError(
             "a page shows how a model does on held-out recordings, and none was given",
             hint="name one: hil.fit(…, validate=…)",
         )
+    model = make_estimator(estimator, **_own_parameters(parameters))
     require_installed([(estimator, model)])
     _require_folder(place)  # before hours of training
     attach(model, watch, kept)
@@ -115,8 +115,9 @@ def evaluate(model: AnyPath, sources: AnyPath | Iterable[AnyPath]) -> list[dict[
     Raises:
         DataError: A source cannot be read, or was among the model's training data.
     """
+    judged_on = sources_of(sources)
     stored = load_model_file(path_of(model))
-    return [judge_source(stored, source).to_dict() for source in sources_of(sources)]
+    return [judge_source(stored, source).to_dict() for source in judged_on]
 
 
 def _own_parameters(given: dict[str, Any] | None) -> dict[str, Any]:

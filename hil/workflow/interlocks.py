@@ -1,7 +1,7 @@
 """The interlocks of a run.
 
 They are made once and early: one that cannot be judged on this robot is refused before anybody is
-asked to confirm a motion. The recorder that one of them watches is opened later.
+asked to confirm a motion. Folder and recorder of the run, which two of them watch, come later.
 """
 
 from __future__ import annotations
@@ -19,24 +19,22 @@ from hil.robot import HasSpeedScaling, Robot
 
 
 class RunInterlocks:
-    """The interlocks that the spec of a run asks for; nothing is started. Close them after it.
+    """The interlocks that the spec of a run asks for; nothing is started.
 
     Args:
         experiment: The spec and the station.
         robot: Opened.
         plan: Says which loads will be mounted.
-        folder: On the disk that is recorded to.
 
     Attributes:
-        all: Every interlock, and what is not watched and why.
-        recorder: Its backlog is watched; None until the recording begins.
+        all: Every interlock, and what is not watched and why. Close them if they were judged.
 
     Raises:
         PlanError: An interlock of the spec cannot be judged on this robot; all are listed.
         PluginError: A plug-in does not load.
     """
 
-    def __init__(self, experiment: Experiment, robot: Robot, plan: Plan, folder: Path) -> None:
+    def __init__(self, experiment: Experiment, robot: Robot, plan: Plan) -> None:
         can, surroundings = robot.capabilities, experiment.robot.surroundings
         sizes = [load.size_m for load in plan.loads]
         arm = load_arm(plan.robot_model) if is_described(plan.robot_model) else None
@@ -49,20 +47,22 @@ class RunInterlocks:
             clearance=SampleDistances(collision_model(arm, surroundings, loads)) if arm else None,
             clearance_m=surroundings.clearance_m,
             flange=partial(flange_space, arm, sizes=sizes) if arm else None,
-            behind_s=self._behind_s,
-            folder=folder,
+            behind_s=lambda: self._recording()[1].behind_s,
+            folder=lambda: self._recording()[0],
             speed_scaling=_speed_scaling_of(robot),
             clock=can.clock,
         )
-        self.recorder: Recorder | None = None
+        self._recorded: tuple[Path, Recorder] | None = None
         self.all = interlocks_from_spec(experiment.spec.interlocks, context)
 
-    def close(self) -> None:
-        """Close every interlock. Idempotent."""
-        self.all.close()
+    def watch_recording(self, folder: Path, recorder: Recorder) -> None:
+        """Watch the disk of a run directory and the backlog of its recorder from now on."""
+        self._recorded = folder, recorder
 
-    def _behind_s(self) -> float:
-        return 0.0 if self.recorder is None else self.recorder.behind_s
+    def _recording(self) -> tuple[Path, Recorder]:
+        if self._recorded is None:
+            raise RuntimeError("interlocks are judged before the recording has begun")
+        return self._recorded
 
 
 def _speed_scaling_of(robot: Robot) -> Callable[[], float] | None:

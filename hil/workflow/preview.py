@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
-from pathlib import Path
 
 from hil.excitation import Watch, unwatched
 from hil.planning import (
@@ -101,14 +100,8 @@ def preview_experiment(
         PlanError: No safe plan follows from the spec, or an interlock cannot be judged.
         RobotError: The robot cannot be asked where it stands.
     """
-    with contextlib.ExitStack() as until_described:
-        robot, plan, from_where_it_stands = until_described.enter_context(
-            planned(experiment, connect=connect, watch=watch)
-        )
-        interlocks = until_described.enter_context(
-            contextlib.closing(RunInterlocks(experiment, robot, plan, Path()))
-        )
-        watching = interlocks.all.describe()
+    with planned(experiment, connect=connect, watch=watch) as (robot, plan, from_where_it_stands):
+        watching = RunInterlocks(experiment, robot, plan).all.describe()
     unasked = () if from_where_it_stands else (WITHOUT_THE_ROBOT,)
     lacking = missing_extras(experiment.spec) if experiment.commissioning is None else ()
     return plan, preview(plan, watching, (*unasked, *lacking))

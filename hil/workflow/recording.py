@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack, closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -42,16 +41,13 @@ def record(
         RecordingError: The run directory cannot be made.
     """
     gate = Gate(experiment, attendance.confirm)
-    with ExitStack() as until_stopped:
-        robot, lease = until_stopped.enter_context(
-            held(
-                experiment,
-                wait_s=attendance.wait_s,
-                report=attendance.stage,
-                admit=gate.admit,
-                robot=opened,
-            )
-        )
+    with held(
+        experiment,
+        wait_s=attendance.wait_s,
+        report=attendance.stage,
+        admit=gate.admit,
+        robot=opened,
+    ) as (robot, lease):
         require_within_reach(experiment, robot.capabilities)
         require_usable(experiment, robot)
         attendance.stage("planning")
@@ -59,10 +55,7 @@ def record(
         if (part := experiment.commissioning) is not None:
             experiment = replace(experiment, commissioning=part.within(plan))
         require_attended(plan, prompt_on(robot, attendance.prompt))
-        # An interlock that cannot be judged is refused now.
-        interlocks = until_stopped.enter_context(
-            closing(RunInterlocks(experiment, robot, plan, runs))
-        )
+        interlocks = RunInterlocks(experiment, robot, plan)
         require_room_to_begin(runs)
         confirmed = gate.confirmation(robot, plan)
         if not shown_by(confirmed):

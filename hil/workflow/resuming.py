@@ -137,16 +137,14 @@ def resume_recording(unfinished: Unfinished, attendance: Attendance) -> Recorded
     experiment, plan = unfinished.experiment, unfinished.plan
     directory = unfinished.directory
     gate = Gate(experiment, attendance.confirm, _confirmed_before(directory))
-    with contextlib.ExitStack() as until_stopped:
-        robot, lease = until_stopped.enter_context(
-            held(experiment, wait_s=attendance.wait_s, report=attendance.stage, admit=gate.admit)
-        )
+    with held(experiment, wait_s=attendance.wait_s, report=attendance.stage, admit=gate.admit) as (
+        robot,
+        lease,
+    ):
         attendance.stage("planning the way back")
         todo, weighed, cold = _remaining(unfinished, robot)
         require_attended(todo, prompt_on(robot, attendance.prompt), resumed=True)
-        interlocks = until_stopped.enter_context(
-            contextlib.closing(RunInterlocks(experiment, robot, plan, directory.path))
-        )
+        interlocks = RunInterlocks(experiment, robot, plan)
         confirmed = gate.confirmation(robot, todo)
         if not shown_by(confirmed):
             attendance.planned(todo)

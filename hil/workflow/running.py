@@ -38,7 +38,6 @@ def run(
     waivers: Mapping[str, str] | None = None,
     desk: Desk | None = None,
     robot: str | None = None,
-    opened: Robot | None = None,
 ) -> RunReport:
     """Plan, run, record, fit, judge and report.
 
@@ -51,7 +50,6 @@ def run(
         desk: Where prompts are answered and pauses are ended; by default the console.
         robot: Name of the experiment's robot, which confirms that it may move; a real robot does
             not move without it.
-        opened: The robot itself, if it is open already; it is closed after the motion.
 
     Returns:
         The report; a run that ended early says so in `outcome` and `error` and is not raised.
@@ -67,14 +65,34 @@ def run(
             f"robot={robot!r} is not the robot of {experiment.spec.name}",
             hint=f"its robot is {experiment.spec.robot!r} of {experiment.station_source}",
         )
+    return run_opened(
+        experiment,
+        None,
+        runs=path_of(runs),
+        operator=operator,
+        observers=observers,
+        waivers=_reasons(waivers),
+        desk=_confirming(desk, robot, operator),
+    )
+
+
+def run_opened(
+    experiment: Experiment,
+    opened: Robot | None,
+    *,
+    runs: Path,
+    operator: str,
+    observers: Sequence[Observer],
+    waivers: Mapping[str, str],
+    desk: Desk,
+) -> RunReport:
+    """Run an experiment whose robot its caller has opened already, or None; see `run`."""
     from hil.workflow.recording import record
 
-    folder, asked, accepted = path_of(runs), _confirming(desk, robot, operator), _reasons(waivers)
-
     def motion(attendance: Attendance) -> Recorded:
-        return record(experiment, runs=folder, attendance=attendance, opened=opened)
+        return record(experiment, runs=runs, attendance=attendance, opened=opened)
 
-    return _attended(experiment, motion, operator, observers, accepted, asked)
+    return _attended(experiment, motion, operator, observers, waivers, desk)
 
 
 def resume(

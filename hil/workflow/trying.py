@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from hil.arms import AnyPayload, payload_of
-from hil.control import FRICTION_SHARE, Trial, run_trial, trial_place
-from hil.core import AnyPath, path_of, whole_number
+from hil.control import FRICTION_SHARE, MOST_SEED, Trial, run_trial, trial_place
+from hil.core import AnyPath, SpecError, path_of, whole_number
 from hil.estimators import json_bytes
 from hil.export import require_new, write_folder
 from hil.report import TRY_OUT_FILE, page_html, trial_page
@@ -48,6 +48,10 @@ def try_out(
     folder = path_of(out)
     require_new(folder)
     load, number = payload_of(payload), whole_number(seed, "seed", 0)
+    if number > MOST_SEED:
+        raise SpecError(
+            f"the seed is {number}, but must be 0 to {MOST_SEED}", hint="choose another --seed"
+        )
     place = trial_place(path_of(model), path_of(station) if station else None, robot, load)
     trial = run_trial(place, number, friction_share, progress or _unheard)
     document = json_bytes(trial.to_dict()).decode()

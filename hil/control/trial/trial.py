@@ -17,7 +17,6 @@ from hil.control.trial.leading import HAND_FIRMNESS
 from hil.control.trial.reference import SWINGS_DEG, Leading, leading_for, trajectory_for
 from hil.control.trial.result import Trial
 from hil.control.trial.runs import Progress, guidings, led_with, tracked_by
-from hil.control.trial.settings import MOST_SEED
 from hil.core import SpecError
 from hil.estimators import RobotEstimator, load_model_file, require_torque
 from hil.spec import StationRobot
@@ -83,10 +82,6 @@ def run_trial(place: TrialPlace, seed: int, friction_share: float, progress: Pro
         PlanError: There is no clear motion.
     """
     begin = time.perf_counter()
-    if not 0 <= seed <= MOST_SEED:
-        raise SpecError(
-            f"the seed is {seed}, but must be 0 to {MOST_SEED}", hint="choose another --seed"
-        )
     model, bench = place.model, place.bench
     helped, notes = guidings(model, bench, friction_share)
     progress("planning")

@@ -47,9 +47,8 @@ class InterlockContext:
         clearance_m: Distance [m] that the plan keeps.
         flange: Distances of flange and payload to the faces of a workspace; None when nobody can
             tell where the flange is.
-        behind_s: How far writing is behind reading [s], 0 until the recording begins; None if
-            nothing is recorded.
-        folder: A folder on the disk that is recorded to; None if nothing is recorded.
+        behind_s: How far writing is behind reading [s], for `check`; None if nothing is recorded.
+        folder: The run directory, for `check`; None if nothing is recorded.
         speed_scaling: Executed over planned speed, the lowest of the newest block; None for a
             robot that does not report it.
         clock: `virtual` robots stand still while the recorder catches up.
@@ -63,6 +62,6 @@ class InterlockContext:
     clearance_m: float = 0.0
     flange: Callable[[WorkspaceInterlock], Distances] | None = None
     behind_s: Callable[[], float] | None = None
-    folder: Path | None = None
+    folder: Callable[[], Path] | None = None
     speed_scaling: Callable[[], float] | None = None
     clock: ClockKind = "wall"

@@ -71,7 +71,7 @@ class FreeSpace:
     the first check, which waits for its first answer: at that time the run is only being armed.
 
     Args:
-        folder: Lies on the disk.
+        folder: Returns a folder on the disk.
         least_mb: Least free space [MB].
         action: What a trip does.
         free: Free space of a folder's disk [B]; may wait or raise `OSError`.
@@ -83,7 +83,7 @@ class FreeSpace:
 
     def __init__(
         self,
-        folder: Path,
+        folder: Callable[[], Path],
         least_mb: float,
         *,
         action: Action = "stop",
@@ -110,7 +110,7 @@ class FreeSpace:
         if not silent and self._free_mb >= self._least_mb:
             return None
         found = float("nan") if silent else self._free_mb
-        subject = f"free space for {self._folder}"
+        subject = f"free space for {self._folder()}"
         time_s = float(block["device_time"][-1])
         return Trip(self.name, -1, found, self._least_mb, "MB", time_s, subject, least=True)
 
@@ -133,15 +133,17 @@ class FreeSpace:
             self._thread.join(self._poll_s)
 
     def _begin(self) -> None:
-        self._answered = self._now()
-        self._thread = threading.Thread(target=self._look, name="hil-free-space", daemon=True)
+        self._answered, folder = self._now(), self._folder()
+        self._thread = threading.Thread(
+            target=self._look, args=(folder,), name="hil-free-space", daemon=True
+        )
         self._thread.start()
         self._first.wait(self._poll_s)
 
-    def _look(self) -> None:
+    def _look(self, folder: Path) -> None:
         while not self._closing.is_set():
             try:
-                self._free_mb = self._free(self._folder) / 1e6
+                self._free_mb = self._free(folder) / 1e6
                 self._answered = self._now()
             except OSError:  # counts as no answer
                 pass

@@ -44,13 +44,13 @@ class Bound:
         return (self.campaign,) if self.probe is None else (self.probe, self.campaign)
 
 
-def bind(spec: ScheduleSpec, station: Path | None = None, file: Path | None = None) -> Bound:
+def bind(spec: ScheduleSpec, station: Path | None = None, source: Source | None = None) -> Bound:
     """Load what a schedule names, and check that it fits together.
 
     Args:
         spec: From `load_schedule_spec`.
         station: In place of the one it names.
-        file: The schedule's own, for messages.
+        source: What was read from its file, for messages.
 
     Raises:
         SpecError: With a line for every problem of the schedule and of the files it names.
@@ -68,7 +68,6 @@ def bind(spec: ScheduleSpec, station: Path | None = None, file: Path | None = No
             hint = hint or error.hint
     if "campaign" in loaded:
         found = problems_of(spec, loaded["campaign"], loaded.get("probe"))
-        source = read_source(file) if file is not None else None
         problems += [_line(source, place, message) for place, message in found]
     if problems:
         raise SpecError("\n".join(dict.fromkeys(problems)), hint=hint)
@@ -90,7 +89,8 @@ def bind_file(file: Path | Source, station: Path | None = None) -> Bound:
         PluginError: A driver is missing or does not load.
     """
     path = Path(file.name) if isinstance(file, Source) else file
-    bound = bind(load_schedule_spec(file), station, path)
+    source = file if isinstance(file, Source) else read_source(file)
+    bound = bind(load_schedule_spec(source), station, source)
     for experiment in bound.experiments:
         check_driver(experiment)
     bound.moves(path).real()

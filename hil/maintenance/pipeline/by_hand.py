@@ -7,12 +7,12 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from hil.core import AnyPath, path_of
+from hil.core import AnyPath, DataError, path_of
 from hil.engine import Observer
 from hil.maintenance.pipeline.bound import bind_file
 from hil.maintenance.pipeline.reidentify import reidentification
 from hil.maintenance.pipeline.stages import kept_document
-from hil.maintenance.schedule.ledger import kept, occasion_of
+from hil.maintenance.schedule.ledger import Ledger, kept, occasion_of
 from hil.maintenance.schedule.occasion import Job, Occasion
 from hil.models import Registry
 from hil.workflow import require_armed, require_extras
@@ -53,7 +53,7 @@ def reidentify(
 
     Raises:
         SpecError: With every problem of the schedule and the files it names.
-        DataError: Another process does the same now.
+        DataError: Another process does the same now, or the schedule is held.
         HilError: What keeps a stage from its end; the next call goes on there.
     """
     file, at = path_of(schedule), path_of(station) if station else None
@@ -62,6 +62,11 @@ def reidentify(
         require_extras(experiment.spec)
     of_schedule = path_of(state) if state else STATES / bound.spec.name
     confirm = require_armed(bound.moves(file), of_schedule)
+    if held := Ledger.read(of_schedule).standing.held:
+        raise DataError(
+            f"the schedule {bound.spec.name} is held: {held['why']}",
+            hint=f"when the reason is gone: hil schedule release {file} --reason TEXT",
+        )
     job: Job = "campaign" if campaign or bound.probe is None else "probe"
     home = of_schedule / BY_HAND
     report = tell or _unheard
