@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import hil.arms
 from hil.arms import load_arm
 from hil.core.errors import SpecError
 from hil.dynamics.dh_from_urdf import described
@@ -16,6 +17,7 @@ from hil.planning.place import plannable_arm
 from hil.spec.station import StationRobot
 
 URDF = Path(__file__).with_name("own_arm.urdf")
+UR5 = (Path(hil.arms.__file__).parent / "ur5.yaml").read_text("utf-8")
 
 
 @pytest.fixture
@@ -145,7 +147,9 @@ def test_programs_move_inside_the_limits_however_narrow(
         ("rate_hz: 250\n", "the arm lacks 'joints'"),
         ("- 1\n", "describes no arm"),
         ("a: [1\n", "cannot be read as an arm"),
+        (UR5.replace("drive_gain_nm_a: 10.15", "drive_gain_nm_a: 0"), "a drive_gain_nm_a is 0"),
     ],
+    ids=["no joints", "a list", "torn", "no gain"],
 )
 def test_a_description_that_is_none_says_why(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "arm.yaml"

@@ -166,6 +166,8 @@ def arm_from_dict(name: str, raw: dict[str, Any]) -> ArmDescription:
     def column(key: str, scale: float = 1.0) -> FloatArray:
         return np.array([joint[key] for joint in joints], dtype=np.float64) * scale
 
+    if (column("drive_gain_nm_a") == 0).any():
+        raise ValueError("a drive_gain_nm_a is 0; write null where it is not known")
     degree = np.pi / 180
     dh = np.array([[j["a_m"], j["alpha_deg"], j["d_m"], j["theta_deg"]] for j in joints])
     dh[:, [1, 3]] *= degree
