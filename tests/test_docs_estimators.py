@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from hil.core import plugins
-from hil.core.yaml_values import scalar
+from hil.core.yaml import scalar
 from hil.data.filters import FilterSettings
 from hil.data.parts import BY_SAMPLE
 from hil.estimators import estimator

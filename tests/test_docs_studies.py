@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from hil.core import plugins
-from hil.core.yaml_values import scalar
+from hil.core.yaml import scalar
 from hil.studies.base import GROUP
 from hil.studies.dynamic_methods import METHOD_KEYS as DYNAMIC_KEYS
 from hil.studies.dynamic_methods import METHODS as DYNAMIC_METHODS

@@ -106,10 +106,10 @@ from .units import parse_quantity as parse_quantity
 from .units import same_quantity as same_quantity
 from .units import split_unit as split_unit
 from .units import symbol_of as symbol_of
+from .yaml import parse_parameters as parse_parameters
+from .yaml import parse_text as parse_text
+from .yaml import scalar as scalar
 from .yaml_nodes import CORE_SCALARS as CORE_SCALARS
 from .yaml_nodes import MOST_BYTES as MOST_BYTES
 from .yaml_source import parse as parse
 from .yaml_source import read_source as read_source
-from .yaml_values import parse_parameters as parse_parameters
-from .yaml_values import parse_text as parse_text
-from .yaml_values import scalar as scalar

@@ -1,4 +1,4 @@
-"""YAML files with positions: read, decode, parse; the rules are in `yaml_values`."""
+"""YAML files with positions: read, decode, parse; the rules are in `hil.core.yaml`."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from pathlib import Path as FilePath
 from hil.core.errors import SpecError
 from hil.core.neighbours import neighbour_of
 from hil.core.source import Problem, Source, refuse, shown
+from hil.core.yaml import parse_text, place_after
 from hil.core.yaml_nodes import MOST_BYTES
-from hil.core.yaml_values import parse_text, place_after
 
 
 def read_source(path: str | FilePath, kind: str = "") -> Source:
