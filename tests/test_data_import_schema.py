@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from test_spec_schema import faults
 
-from hil.core.yaml_source import read_source
+from hil.core.yaml import read_source
 from hil.importers.import_map_schema import map_schema
 
 ROOT = Path(__file__).parents[1]

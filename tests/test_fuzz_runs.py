@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 from hil import api
 from hil.cli.app import app
 from hil.core.errors import DataError, HilError
-from hil.core.yaml_source import parse
+from hil.core.yaml import parse
 from hil.engine.preflight import CheckResult
 from hil.importers.load import gravity_of, load_source, serial_of
 from hil.recording import Attachment, McapWriter, RunDirectory, read_events

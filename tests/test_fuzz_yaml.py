@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.core.errors import SpecError
-from hil.core.yaml_source import parse
+from hil.core.yaml import parse
 from hil.importers.import_map import load_map
 from hil.spec import load_spec, load_station
 from hil.spec.series import load_series_spec

@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 import hil
 from hil.arms import description
 from hil.cli.app import app
-from hil.core import yaml as yaml_file
+from hil.core.yaml import parse
 from hil.dynamics import base, build, collision
 from hil.engine.interlocks import from_spec as interlock_builder
 from hil.estimators import rigid_linear
@@ -80,7 +80,7 @@ def predicted(arguments: dict[str, Any]) -> str:
 def traced() -> Trace:
     return Trace(
         {
-            yaml_file.parse_text.__code__: parsed,
+            parse.__code__: parsed,
             description.arm_from_dict.__code__: named("arm parsed"),
             build.model_of_dh.__code__: named("robot model built"),
             collision.CollisionModel.__init__.__code__: named("collision model built"),

@@ -12,7 +12,7 @@ import yaml
 from hil.arms import load_arm
 from hil.cli import candidates
 from hil.core.errors import SpecError
-from hil.core.quick_yaml import DEEPEST, look_into
+from hil.core.yaml import DEEPEST_LOOK, look_into
 from hil.maintenance.fleet.members import spec_for
 from hil.spec.new import as_scalar
 from hil_mock_robot.ur.faults import read_faults
@@ -42,7 +42,7 @@ def test_what_is_no_document_is_one_kind_of_error(text: str | bytes) -> None:
 
 def test_brackets_without_end_do_not_end_the_process() -> None:
     code = (
-        "from hil.core.quick_yaml import look_into\n"
+        "from hil.core.yaml import look_into\n"
         "for text in ('[' * 60000, '[' * 60000 + ']' * 60000, '{a: ' * 60000, '- ' * 60000):\n"
         "    try: look_into(text)\n"
         "    except ValueError as error: assert 'more than 100 levels' in str(error), error\n"
@@ -52,8 +52,8 @@ def test_brackets_without_end_do_not_end_the_process() -> None:
 
 def test_what_people_write_is_read() -> None:
     assert look_into("a: &a [1]\nb: *a\nc: {<<: {d: 2}}") == {"a": [1], "b": [1], "c": {"d": 2}}
-    deep = look_into("[" * DEEPEST + "]" * DEEPEST)
-    assert str(deep) == "[" * DEEPEST + "]" * DEEPEST
+    deep = look_into("[" * DEEPEST_LOOK + "]" * DEEPEST_LOOK)
+    assert str(deep) == "[" * DEEPEST_LOOK + "]" * DEEPEST_LOOK
 
 
 def test_files_from_elsewhere_are_refused_however_deep(tmp_path: Path) -> None:

@@ -12,8 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.core.errors import SpecError
-from hil.core.yaml import scalar
-from hil.core.yaml_source import parse
+from hil.core.yaml import parse, scalar
 from hil.spec import load_station, spec_from_text, spec_hash
 
 ROOT = Path(__file__).parents[1]

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from hil.core.errors import SpecError
-from hil.core.yaml_source import read_source
+from hil.core.yaml import read_source
 from hil.spec.describe import explain_key, keys_below, reference
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.model_tree import Model, keys_of, tree

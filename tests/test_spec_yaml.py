@@ -9,10 +9,7 @@ import pytest
 import yaml
 
 from hil.core.errors import SpecError
-from hil.core.source import Source
-from hil.core.yaml import scalar
-from hil.core.yaml_nodes import MOST_BYTES
-from hil.core.yaml_source import parse, read_source
+from hil.core.yaml import MOST_BYTES, Source, parse, read_source, scalar
 
 pytestmark = pytest.mark.quick
 

@@ -17,8 +17,7 @@ from typer.testing import CliRunner
 from hil.arms import load_arm
 from hil.cli.app import app
 from hil.core.errors import SpecError
-from hil.core.quick_yaml import look_into
-from hil.core.yaml_source import parse
+from hil.core.yaml import look_into, parse
 from hil.estimators.gains_file import read_gains
 from hil.importers.import_map import load_map
 from hil.maintenance.fleet.members import spec_for

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from hil.arms.content import description_sha256
-from hil.core import FloatArray, SpecError, look_into
+from hil.core import FloatArray, SpecError
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,6 +122,8 @@ def load_arm(name: str) -> ArmDescription:
 
 @cache
 def _parsed(name: str) -> ArmDescription:
+    from hil.core import look_into  # a model file is read without PyYAML
+
     if is_description(name):
         arm = _of_file(Path(name))
     elif name in arm_names():
@@ -140,6 +142,8 @@ def _parsed(name: str) -> ArmDescription:
 
 def _of_file(path: Path) -> ArmDescription:
     """An arm that a file describes as those beside this module are."""
+    from hil.core import look_into
+
     hint = "`hil new own-urdf` writes one from a URDF; hil/arms/ur5.yaml is one, too"
     try:
         raw = path.read_bytes()

@@ -13,8 +13,6 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from hil.core import look_into
-
 MOST = 200
 """Words are offered of the newest runs, and no more files than that are looked into."""
 
@@ -116,6 +114,8 @@ def benchmarks(given: Given, begun: str) -> list[str]:
 
 
 def _robots_of(station: Path) -> list[str]:
+    from hil.core import look_into  # no other candidate needs YAML
+
     try:
         document = look_into(station.read_bytes())
     except (OSError, ValueError):

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from hil.core.suggest import closest
+from hil.core.text import shown
 
 MOST_NAMED = 8
 """Files of a folder that a hint names."""
@@ -16,8 +17,8 @@ _MOST_LETTERS = 300
 
 def no_file(file: Path) -> str:
     """`there is no file poses.csv in /cell`: by its whole path, or with the folder it starts at."""
-    told = f"there is no file {_shown(file)}"
-    return told if file.is_absolute() else f"{told} in {_shown(Path.cwd())}"
+    told = f"there is no file {shown(str(file), _MOST_LETTERS)}"
+    return told if file.is_absolute() else f"{told} in {shown(str(Path.cwd()), _MOST_LETTERS)}"
 
 
 def neighbour_of(
@@ -34,7 +35,7 @@ def neighbour_of(
     wanted = tuple(endings)
     try:
         if not folder.is_dir():
-            return f"there is no folder {_shown(folder)}"
+            return f"there is no folder {shown(str(folder), _MOST_LETTERS)}"
         beside = [path for path in folder.iterdir() if path.suffix.casefold() in wanted]
         names = sorted(path.name for path in beside if fits(path))
     except (OSError, ValueError):  # ValueError: a name that no file system takes
@@ -50,8 +51,3 @@ def no_file_but(file: Path, endings: Iterable[str]) -> str:
     """`no_file` with what is there instead, where that can be told, for a list of problems."""
     instead = neighbour_of(file, endings)
     return no_file(file) if instead == UNKNOWN else f"{no_file(file)}; {instead}"
-
-
-def _shown(path: Path) -> str:
-    text = "".join(letter if letter.isprintable() else "?" for letter in str(path))
-    return text if len(text) <= _MOST_LETTERS else text[: _MOST_LETTERS - 1] + "…"

@@ -7,6 +7,7 @@ by that name. No page, terminal or document takes a lone surrogate: what leaves 
 leaving as       function                            a byte 0xff of a name
 ===============  ==================================  ==========================
 text, pages      `utf8_text`                         ``\xff``
+message          `shown`                             ``?``
 JSON             `json_text`                         ``\udcff``, read back as is
 name in a form   `name_text`, back by `name_read`    ``\xff``
 address          `quoted`                            ``%FF``
@@ -25,6 +26,13 @@ from urllib.parse import quote
 
 _SURROGATE = re.compile("[\ud800-\udfff]")
 _ESCAPES = re.compile(r"\\\\|(?:\\x[0-9a-f]{2})+")
+
+
+def shown(value: object, most: int = 60) -> str:
+    """Return a value for a message: on one line, printable, and of at most so many characters."""
+    text = value if isinstance(value, str) else repr(value)
+    text = "".join(c if c.isprintable() else "?" for c in text[: most + 1])
+    return text if len(text) <= most else text[: most - 1] + "…"
 
 
 def utf8_text(text: str) -> str:

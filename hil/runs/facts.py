@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.core import DataError, look_into, read_json
+from hil.core import DataError, read_json
 from hil.runs.listing import listing_of
 from hil.runs.summary import entry_of, number_in
 
@@ -95,6 +95,8 @@ def _fit(file: Path) -> dict[str, Any]:
 
 
 def _description(spec: Path) -> str:
+    from hil.core import look_into  # a list of runs starts without PyYAML
+
     with contextlib.suppress(OSError, ValueError):
         if spec.stat().st_size <= LARGEST_SPEC:
             return _text(_mapping(look_into(spec.read_bytes())).get("description"))

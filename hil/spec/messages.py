@@ -7,7 +7,6 @@ from collections.abc import Callable
 from typing import Any
 
 from hil.core import (
-    CORE_SCALARS,
     KeyPath,
     Problem,
     Source,
@@ -15,6 +14,7 @@ from hil.core import (
     converted,
     did_you_mean,
     dotted,
+    is_number,
     parse_quantity,
     same_quantity,
     shown,
@@ -101,7 +101,7 @@ def _number(f: Finding) -> str:
 
 
 def _slip_in_number(text: str) -> str:
-    if re.fullmatch(CORE_SCALARS["float"][0], text):
+    if is_number(text):
         return ": remove the quotes"
     if re.fullmatch(r"[-+]?\d+,\d+", text):
         return ": decimals take a point"

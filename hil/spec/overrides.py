@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from hil.core import KeyPath, Mark, Source, SpecError, parse_text, read_source, shown
+from hil.core import KeyPath, Mark, Source, SpecError, parse, read_source, shown
 
 
 def lay_over(source: Source, overrides: Mapping[str, str]) -> None:
@@ -25,7 +25,7 @@ def lay_over(source: Source, overrides: Mapping[str, str]) -> None:
     for number, (dotted_key, text) in enumerate(overrides.items(), 1):
         name = f"--set {number}"
         told = f"{name}: {shown(dotted_key)}"
-        value = parse_text(text, told) if text.strip() else Source(told)
+        value = parse(text, told) if text.strip() else Source(told)
         source.problems += value.problems
         path = _path_in(source.data, dotted_key)
         if why := "a step of it is empty" if "" in path else _set(source.data, path, value.data):

@@ -7,9 +7,7 @@ from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 
-import yaml
-
-from hil.core import SpecError, closest, require_bounded
+from hil.core import SpecError, closest, with_value
 from hil.planning import Experiment, find_station
 from hil.spec import Station, load_fleet_spec, resolve_robot, spec_from_text
 
@@ -67,16 +65,12 @@ def spec_for(text: str, name: str, robot: str) -> str:
         SpecError: It names no robot whose place could be taken.
     """
     try:
-        require_bounded(text)
-        document = yaml.compose(text, Loader=yaml.SafeLoader)
-    except (ValueError, yaml.YAMLError) as error:
+        changed = with_value(text, "robot", json.dumps(robot))
+    except ValueError as error:
         raise SpecError(f"{name}: {error}", hint="`hil validate` says more") from None
-    entries = document.value if isinstance(document, yaml.MappingNode) else ()
-    for key, value in entries:
-        if key.value == "robot" and isinstance(value, yaml.ScalarNode):
-            begin, end = value.start_mark.index, value.end_mark.index
-            return f"{text[:begin]}{json.dumps(robot)}{text[end:]}"
-    raise SpecError(f"{name} names no robot", hint="it needs a line such as `robot: ur5`")
+    if changed is None:
+        raise SpecError(f"{name} names no robot", hint="it needs a line such as `robot: ur5`")
+    return changed
 
 
 def experiment_for(text: str, folder: Path, station: Path | None, source: Path) -> Experiment:
