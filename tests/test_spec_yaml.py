@@ -3,13 +3,28 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
+from fuzzing import examples
+from hypothesis import given
+from hypothesis import strategies as st
 
 from hil.core.errors import SpecError
-from hil.core.yaml import MOST_BYTES, Source, parse, read_source, scalar
+from hil.core.yaml import (
+    MOST_BYTES,
+    KeyPath,
+    Source,
+    is_number,
+    look_into,
+    parse,
+    read_source,
+    scalar,
+    with_value,
+)
 
 pytestmark = pytest.mark.quick
 
@@ -86,6 +101,65 @@ def test_where_yaml_1_1_and_1_2_agree_pyyaml_reads_the_same() -> None:
     assert parse(text, "f").data == yaml.safe_load(text)
 
 
+# What YAML 1.1 writes without quotes and YAML 1.2 reads as a number, and merge keys, are left out.
+TEXTS = st.text(st.characters(exclude_categories=["Cs"]), max_size=12).filter(
+    lambda text: not is_number(text) and not text.startswith("0o") and text != "<<"
+)
+DOCUMENTS = st.recursive(
+    st.none()
+    | st.booleans()
+    | st.integers(1 - 2**63, 2**63 - 1)
+    | st.floats(allow_nan=False)
+    | TEXTS,
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(TEXTS, inner, max_size=4),
+    max_leaves=15,
+)
+STYLES = st.fixed_dictionaries(
+    {
+        "default_flow_style": st.sampled_from([None, True, False]),
+        "default_style": st.sampled_from([None, '"', "'", "|", ">"]),
+        "allow_unicode": st.booleans(),
+        "indent": st.integers(2, 6),
+        "width": st.integers(10, 100),
+        "explicit_start": st.booleans(),
+    }
+)
+
+
+def places(node: yaml.Node, path: KeyPath = ()) -> Iterator[tuple[KeyPath, tuple[int, int]]]:
+    """Every value below a node with its line and column."""
+    yield path, (node.start_mark.line + 1, node.start_mark.column + 1)
+    pairs = node.value if isinstance(node.value, list) else []
+    for index, child in enumerate(pairs):
+        is_pair = isinstance(child, tuple)
+        step, value = (child[0].value, child[1]) if is_pair else (index, child)
+        yield from places(value, (*path, step))
+
+
+@examples(100)
+@given(DOCUMENTS, STYLES)
+def test_whatever_pyyaml_writes_is_read_as_pyyaml_reads_it(
+    document: Any, style: dict[str, Any]
+) -> None:
+    """Where the versions of YAML agree: the data, and where every value stands."""
+    text = yaml.safe_dump(document, **style)
+
+    source = parse(text, "f")
+
+    assert not source.problems
+    assert repr(source.data) == repr(yaml.safe_load(text))
+    found = {path: mark[1:] for path, mark in source.values.items()}
+    assert found == dict(places(yaml.compose(text, Loader=yaml.SafeLoader)))
+
+
+@examples(100)
+@given(DOCUMENTS)
+def test_both_readers_agree_about_documents_that_are_quoted(document: Any) -> None:
+    text = yaml.safe_dump(document, default_style='"')
+
+    assert repr(parse(text, "f").data) == repr(look_into(text))
+
+
 def test_keys_such_as_on_and_y_are_text() -> None:
     assert parse("on: 1\ny: 2\nno: 3", "f").data == {"on": 1, "y": 2, "no": 3}
 
@@ -96,6 +170,55 @@ def test_an_anchor_is_one_value_in_several_places() -> None:
     assert source.data == {"a": [1, 2], "b": [1, 2]}
     assert source.data["a"] is not source.data["b"]
     assert source.mark(("b", 1)) == ("f", 1, 11)
+
+
+PLACES = """\
+# a comment
+hil: 1
+robot:   "ur5"   # and another
+
+loads:
+- {mass_kg: 0, "käfig": [a,
+     b]}
+- mass_kg: 3
+  com_m: &c [0, 0, 0.05]
+  again: *c
+text: |
+  two
+  lines
+nothing:
+? asked
+: told
+"""
+
+
+@pytest.mark.parametrize(
+    ("path", "key", "value"),
+    [
+        ((), None, (2, 1)),
+        (("hil",), (2, 1), (2, 6)),
+        (("robot",), (3, 1), (3, 10)),
+        (("loads",), (5, 1), (6, 1)),
+        (("loads", 0), None, (6, 3)),
+        (("loads", 0, "mass_kg"), (6, 4), (6, 13)),
+        (("loads", 0, "käfig"), (6, 16), (6, 25)),
+        (("loads", 0, "käfig", 1), None, (7, 6)),
+        (("loads", 1), None, (8, 3)),
+        (("loads", 1, "com_m"), (9, 3), (9, 10)),
+        (("loads", 1, "com_m", 2), None, (9, 20)),
+        (("loads", 1, "again"), (10, 3), (9, 10)),
+        (("text",), (11, 1), (11, 7)),
+        (("nothing",), (14, 1), (14, 9)),
+        (("asked",), (15, 3), (16, 3)),
+    ],
+)
+def test_every_key_and_value_has_its_place(
+    path: KeyPath, key: tuple[int, int] | None, value: tuple[int, int]
+) -> None:
+    source = parse(PLACES, "f")
+
+    assert source.mark(path) == ("f", *value)
+    assert source.mark(path, key=True) == ("f", *(key or value))
 
 
 MISTAKES = [
@@ -212,3 +335,14 @@ def test_a_value_on_the_command_line_is_yaml_as_well() -> None:
     assert scalar(" ") is None
     with pytest.raises(SpecError, match=r"value:1:1: the tag !x"):
         scalar("!x 1")
+    with pytest.raises(SpecError, match="value: is larger than 256 KiB"):
+        scalar("x" * (MOST_BYTES + 1))
+
+
+def test_another_value_leaves_all_else_as_written() -> None:
+    text = "# mine\nrobot:  'ur5' # ours\nloads: [{robot: x}]\n"
+
+    assert with_value(text, "robot", '"b"') == text.replace("'ur5'", '"b"')
+    assert with_value(text, "loads", "1") is with_value("[robot]", "robot", "1") is None
+    with pytest.raises(ValueError, match="found undefined alias"):
+        with_value("robot: *x", "robot", "1")
