@@ -13,8 +13,8 @@ from typing import Any
 
 import pytest
 
-from hil.engine.live.channels import PROGRESS_SCHEMA, PROGRESS_TOPIC, RobotTopics
-from hil.engine.live.server import LAYOUT
+from hil.engine.live_channels import PROGRESS_SCHEMA, PROGRESS_TOPIC, RobotTopics
+from hil.engine.live_view import LAYOUT
 from hil.robot import Capabilities
 
 layouts = pytest.importorskip("foxglove.layouts")

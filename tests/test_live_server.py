@@ -22,9 +22,8 @@ from websockets.sync.client import connect
 from hil.cli.live_view import live_view, recorded_capabilities
 from hil.core.errors import DataError, PluginError
 from hil.core.typing import StructArray
-from hil.engine.live import FoxgloveLive
-from hil.engine.live import server as server_module
-from hil.engine.live.server import is_loopback
+from hil.engine import live_view as server_module
+from hil.engine.live_view import FoxgloveLive, is_loopback
 from hil.recording.reader import read_topic
 from hil.recording.rundir import RunDirectory
 from hil.robot import Capabilities, Status, state_dtype
@@ -155,7 +154,7 @@ def test_the_terminal_says_where_to_look_and_with_which_layout(
 FLOOD = """
 import sys, time
 from test_live_server import ROBOT, Unlimited, event_of, rows
-from hil.engine.live import FoxgloveLive
+from hil.engine.live_view import FoxgloveLive
 
 with FoxgloveLive(ROBOT, port=0) as live:
     print(live.url, flush=True)

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from hil.engine.live.standing import Standing
-from hil.engine.live.words import DEBUG, ERROR, INFO, WARNING, words_of
+from hil.engine.standing import Standing
+from hil.engine.standing_words import DEBUG, ERROR, INFO, WARNING, words_of
 
 pytestmark = pytest.mark.quick
 

@@ -19,7 +19,7 @@ from hil.arms import description
 from hil.cli.app import app
 from hil.core.yaml import parse
 from hil.dynamics import base, build, collision
-from hil.engine.interlocks import from_spec as interlock_builder
+from hil.engine import interlocks as interlock_builder
 from hil.estimators import rigid_linear
 from hil.planning import robots, surroundings
 

@@ -22,6 +22,7 @@ from hil.core.errors import CommandRefused, PreflightFailed, RobotConnectionErro
 from hil.core.typing import FloatArray, StructArray
 from hil.engine.preflight import (
     BUILT_IN,
+    NEVER_WAIVED,
     CheckResult,
     Context,
     Situation,
@@ -29,7 +30,6 @@ from hil.engine.preflight import (
     preflight_context,
     require_preflight,
 )
-from hil.engine.preflight.preflight import NEVER_WAIVED
 from hil.excitation.motion import Hold, Line
 from hil.planning.plan import LoadStep, Plan, Step
 from hil.robot import Capabilities, Finding, HasChecks, Identity, Limits, Status

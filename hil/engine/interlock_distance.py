@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from hil.core import FloatArray, StructArray
-from hil.engine.interlocks.context import Distances
-from hil.engine.interlocks.interlock import Action, Margin, Trip
-from hil.engine.interlocks.moving import moving
+from hil.engine.interlock_context import Distances
+from hil.engine.interlock_moving import moving
+from hil.engine.interlock_protocol import Action, Margin, Trip
 
 CLEAR_BY_M = 0.005
 """Distances so much above the least are well inside again [m]."""

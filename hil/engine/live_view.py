@@ -20,10 +20,10 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 from hil.core import HilError, PluginError, StructArray, bounded, plugins
-from hil.engine.live.channels import PROGRESS_SCHEMA, PROGRESS_TOPIC, RobotTopics
-from hil.engine.live.decimate import Decimation
-from hil.engine.live.standing import Standing
-from hil.engine.live.words import words_of
+from hil.engine.live_channels import PROGRESS_SCHEMA, PROGRESS_TOPIC, RobotTopics
+from hil.engine.live_decimate import Decimation
+from hil.engine.standing import Standing
+from hil.engine.standing_words import words_of
 from hil.recording import EVENT_TOPIC, encode_log
 from hil.robot import Capabilities
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from hil.arms import arm_names, is_described, load_arm
 from hil.core import HilError
-from hil.engine.preflight.check import CheckResult, Situation
+from hil.engine.preflight_check import CheckResult, Situation
 from hil.robot import Finding, HasChecks, Robot, Status
 
 POSE_TOLERANCE_RAD = 0.01

@@ -9,13 +9,19 @@ import numpy as np
 
 from hil.core import BoolArray, PlanError, did_you_mean, plugins
 from hil.engine.freshness import STALE_AFTER_S
-from hil.engine.interlocks.collection import Interlocks, Off
-from hil.engine.interlocks.context import InterlockContext
-from hil.engine.interlocks.interlock import Interlock
-from hil.engine.interlocks.least_distance import LeastDistance
-from hil.engine.interlocks.recording import Backlog, FreeSpace
-from hil.engine.interlocks.speed_scaling import SpeedScaling
-from hil.engine.interlocks.threshold import PerJoint, Threshold
+from hil.engine.interlock_collection import Interlocks, Off
+from hil.engine.interlock_context import Distances as Distances
+from hil.engine.interlock_context import InterlockContext
+from hil.engine.interlock_distance import LeastDistance
+from hil.engine.interlock_protocol import Action as Action
+from hil.engine.interlock_protocol import HasMargin as HasMargin
+from hil.engine.interlock_protocol import Interlock as Interlock
+from hil.engine.interlock_protocol import Margin as Margin
+from hil.engine.interlock_protocol import Trip as Trip
+from hil.engine.interlock_recording import Backlog, FreeSpace
+from hil.engine.interlock_speed import SpeedScaling
+from hil.engine.interlock_speed import is_slowed as is_slowed
+from hil.engine.interlock_threshold import PerJoint, Threshold
 from hil.spec import COOLER_C, INTERLOCK_KINDS
 
 GROUP = "hil.interlocks"

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from hil.core import plain
-from hil.engine.live.words import answer_words
+from hil.engine.standing_words import answer_words
 
 MOST = 2000
 """Characters of one line; what files say was written by anybody."""

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 import numpy as np
 
 from hil.core import FloatArray
-from hil.engine.preflight.check import CheckResult, Situation
+from hil.engine.preflight_check import CheckResult, Situation
 from hil.planning import recording_bytes, why_plan_not_weighed
 
 LIMIT_TOLERANCE = 1e-9

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from hil.core import StructArray
-from hil.engine.live.standing import Standing
+from hil.engine.standing import Standing
 from hil.recording import (
     EVENT_SCHEMA,
     EVENT_TEXT,

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.core import BoolArray, FloatArray, StructArray
-from hil.engine.interlocks.interlock import Action, Margin, Trip
-from hil.engine.interlocks.moving import moving
+from hil.engine.interlock_moving import moving
+from hil.engine.interlock_protocol import Action, Margin, Trip
 
 CLEAR_SHARE = 0.9
 """A quantity below this share of its limit is well inside again."""

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from hil.core import StructArray
-from hil.engine.interlocks.interlock import Action, Margin, Trip
+from hil.engine.interlock_protocol import Action, Margin, Trip
 
 POLL_S = 1.0
 """Between two looks at the disk [s]."""

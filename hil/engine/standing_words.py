@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from hil.engine.live.standing import ENDING, PAUSED, Standing
+from hil.engine.standing import ENDING, PAUSED, Standing
 
 DEBUG, INFO, WARNING, ERROR = 10, 20, 30, 40
 """Levels of `rcl_interfaces/msg/Log`."""

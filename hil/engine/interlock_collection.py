@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple, overload
 
-from hil.engine.interlocks.interlock import Interlock
+from hil.engine.interlock_protocol import Interlock
 
 
 class Off(NamedTuple):

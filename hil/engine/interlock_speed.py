@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from hil.core import StructArray
-from hil.engine.interlocks.interlock import Action, Trip
+from hil.engine.interlock_protocol import Action, Trip
 
 LEAST_SHARE = 0.99
 """Of the planned speed; a controller that reports less executes other motions than planned."""

@@ -10,8 +10,8 @@ from typing import Any
 
 from hil.arms import is_described, load_arm
 from hil.core import HilError, PreflightFailed, SpecError, did_you_mean, plugins
-from hil.engine.preflight import plan_checks, robot_checks
-from hil.engine.preflight.check import Check, CheckResult, Context, Situation
+from hil.engine import plan_checks, robot_checks
+from hil.engine.preflight_check import Check, CheckResult, Context, Situation
 from hil.excitation import Clearance
 from hil.planning import Plan, collision_model
 from hil.recording import BYTES as RESERVE_BYTES
