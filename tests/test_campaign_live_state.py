@@ -15,7 +15,7 @@ from interlock_parts import NAMES, made, rows
 
 from hil.core.errors import RecordingError
 from hil.engine import Observers, observers
-from hil.engine.interlock_protocol import Margin
+from hil.engine.interlocks import Margin
 from hil.robot import Capabilities
 from hil.workflow import live_state
 from hil.workflow.arm_view import ArmView

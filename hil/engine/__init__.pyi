@@ -1,9 +1,10 @@
 from .engine import Engine as Engine
-from .interlock_collection import Interlocks as Interlocks
-from .interlock_context import InterlockContext as InterlockContext
-from .interlock_protocol import HasMargin as HasMargin
-from .interlock_protocol import Interlock as Interlock
-from .interlock_protocol import Trip as Trip
+from .interlocks import HasMargin as HasMargin
+from .interlocks import Interlock as Interlock
+from .interlocks import InterlockContext as InterlockContext
+from .interlocks import Interlocks as Interlocks
+from .interlocks import Margin as Margin
+from .interlocks import Trip as Trip
 from .interlocks import interlocks_from_spec as interlocks_from_spec
 from .live_view import LAYOUT as LAYOUT
 from .live_view import LOOPBACK as LOOPBACK

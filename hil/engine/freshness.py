@@ -8,9 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from hil.core import InterlockTripped, StaleState, StructArray
-
-STALE_AFTER_S = 0.5
-"""Wall time without a newer sample, on robots that live in wall time [s]."""
+from hil.engine.interlocks import STALE_AFTER_S
 
 STALE_AFTER_BLOCKS = 50
 """Blocks in a row without a newer sample; a virtual clock has no other measure."""
