@@ -17,6 +17,11 @@ from .observers import Observer as Observer
 from .observers import Observers as Observers
 from .pausing import GoOn as GoOn
 from .pausing import nobody_goes_on as nobody_goes_on
+from .preflight import OWN as OWN
+from .preflight import REST_RAD_S as REST_RAD_S
+from .preflight import CheckResult as CheckResult
+from .preflight import Situation as Situation
+from .preflight import own_checks as own_checks
 from .preflight import preflight_context as preflight_context
 from .preflight import require_preflight as require_preflight
 from .preflight import require_room_to_begin as require_room_to_begin
@@ -26,9 +31,6 @@ from .prompt import Prompt as Prompt
 from .prompt import Reply as Reply
 from .reading import Sink as Sink
 from .result import RunResult as RunResult
-from .robot_checks import OWN as OWN
-from .robot_checks import REST_RAD_S as REST_RAD_S
-from .robot_checks import own_checks as own_checks
 from .signals import WATCHED as WATCHED
 from .signals import SignalWatch as SignalWatch
 from .signals import StopSignal as StopSignal
