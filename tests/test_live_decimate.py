@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hil.core.typing import StructArray
-from hil.engine.live_decimate import AT_ONCE, Decimation
+from hil.engine.live_view import AT_ONCE, Decimation
 from hil.robot import state_dtype
 
 

@@ -13,8 +13,7 @@ from typing import Any
 
 import pytest
 
-from hil.engine.live_channels import PROGRESS_SCHEMA, PROGRESS_TOPIC, RobotTopics
-from hil.engine.live_view import LAYOUT
+from hil.engine.live_view import LAYOUT, PROGRESS_SCHEMA, PROGRESS_TOPIC, RobotTopics
 from hil.robot import Capabilities
 
 layouts = pytest.importorskip("foxglove.layouts")

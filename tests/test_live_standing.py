@@ -7,8 +7,7 @@ from typing import Any
 
 import pytest
 
-from hil.engine.standing import Standing
-from hil.engine.standing_words import DEBUG, ERROR, INFO, WARNING, words_of
+from hil.engine.standing import DEBUG, ERROR, INFO, WARNING, Standing, message_of
 
 pytestmark = pytest.mark.quick
 
@@ -21,7 +20,7 @@ def standing(*events: dict[str, Any]) -> Standing:
 
 
 def said(*events: dict[str, Any]) -> tuple[int, str] | None:
-    return words_of(events[-1], standing(*events))
+    return message_of(events[-1], standing(*events))
 
 
 def test_keys_an_event_lacks_keep_their_value() -> None:

@@ -1,7 +1,10 @@
 """The live view: an observer that serves a run over the Foxglove WebSocket protocol.
 
 It only sends. Clients can neither publish nor call anything, and one that does not read loses the
-oldest messages of its own queue; nothing waits for it.
+oldest messages of its own queue; nothing waits for it. Topics and schemas are those of the
+recording, so that one layout shows a run while it goes on and its MCAP file afterwards
+(`RobotTopics`). A screen takes fewer rows than a robot delivers, and a mock on a virtual clock
+delivers hundreds of blocks a second: `Decimation` selects what is shown.
 """
 
 from __future__ import annotations
@@ -13,19 +16,29 @@ import json
 import re
 import socket
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
-from hil.core import HilError, PluginError, StructArray, bounded, plugins
-from hil.engine.live_channels import PROGRESS_SCHEMA, PROGRESS_TOPIC, RobotTopics
-from hil.engine.live_decimate import Decimation
-from hil.engine.standing import Standing
-from hil.engine.standing_words import words_of
-from hil.recording import EVENT_TOPIC, encode_log
-from hil.robot import Capabilities
+import numpy as np
+
+from hil.core import FloatArray, HilError, PluginError, StructArray, bounded, plugins
+from hil.engine.standing import Event, Standing, message_of
+from hil.recording import (
+    EVENT_SCHEMA,
+    EVENT_TEXT,
+    EVENT_TOPIC,
+    JOINT_STATE_SCHEMA,
+    JOINT_STATE_TEXT,
+    JOINT_STATE_TOPIC,
+    MAX_RATE_HZ,
+    JointStateView,
+    encode_log,
+)
+from hil.robot import CDR_HEADER, Capabilities, Topic, state_topic
 
 if TYPE_CHECKING:
     from foxglove import Channel, Context
@@ -36,10 +49,26 @@ DEFAULT_PORT = 8765
 """Where Foxglove and Lichtblick look by default."""
 
 PORTS_TRIED = 10
-STOP_WITHIN_S = 1.0
-STEPS_TOLD_EVERY_S = 0.05
+CLOSE_WITHIN_S = 1.0
+
+STEPS_EVERY_S = 0.05
+"""On a virtual clock steps fly past; nobody reads a hundred a second [s]."""
+
 LAYOUT = Path(__file__).with_name("hil-layout.json")
 _IN_USE = re.compile(rf"os error ({errno.EADDRINUSE}|10048)\)")
+
+TRACKING_TOPIC = "/robot/tracking_error"
+PROGRESS_TOPIC = "/hil/progress"
+
+PROGRESS_SCHEMA: dict[str, Any] = {
+    "title": "hil.Progress",
+    "type": "object",
+    "properties": {
+        key: {"type": {str: "string", int: "integer", float: "number"}[type(value)]}
+        for key, value in Standing().snapshot().items()
+    },
+}
+"""JSON Schema of `Standing.snapshot`."""
 
 
 class FoxgloveLive:
@@ -77,7 +106,14 @@ class FoxgloveLive:
         """What to connect to; empty while it does not serve."""
         if self._server is None:
             return ""
-        return f"ws://{_reachable(self._host)}:{self._server.port}"
+        host = self._host
+        with contextlib.suppress(ValueError):  # a name, not an address
+            address = ipaddress.ip_address(host)
+            if address.is_unspecified:  # "any address" is none that a viewer can connect to
+                host = socket.gethostname()
+            elif address.version == 6:
+                host = f"[{address}]"
+        return f"ws://{host}:{self._server.port}"
 
     def start(self) -> None:
         """Begin to serve. Idempotent.
@@ -87,7 +123,14 @@ class FoxgloveLive:
         """
         if self._server is not None:
             return
-        sdk = _sdk()
+        try:
+            sdk = import_module("foxglove")
+        except ModuleNotFoundError as error:
+            raise plugins.not_installed("the live view", ["foxglove"], "live") from error
+        except ImportError as error:
+            raise PluginError(
+                f"the live view needs foxglove-sdk: {error}", hint='pip install "hil[live]"'
+            ) from error
         self._context = context = sdk.Context()
         for topic, schema in self._topics.schemas.items():
             ros = sdk.Schema(name=schema.name, encoding="ros2msg", data=schema.text.encode())
@@ -118,7 +161,7 @@ class FoxgloveLive:
             contexts.clear()
 
         with contextlib.suppress(HilError):
-            bounded(close, STOP_WITHIN_S, "closing the live view")
+            bounded(close, CLOSE_WITHIN_S, "closing the live view")
 
     def __enter__(self) -> FoxgloveLive:
         self.start()
@@ -132,17 +175,23 @@ class FoxgloveLive:
     ) -> None:
         self.stop()
 
-    def notify(self, event: Mapping[str, Any]) -> None:
+    def notify(self, event: Event) -> None:
         """Serve an event; see `hil.engine.Observer`."""
-        if event.get("kind") == "rows":
+        kind = event.get("kind")
+        if kind == "rows":
             if self._decimation.due():
                 self._show(event["rows"])
             return
         self._standing.take(event)
-        if event.get("kind") == "step" and not self._step_is_due():
-            return
-        if said := words_of(event, self._standing):
-            self._tell(str(event["kind"]), *said)
+        if kind == "step":
+            now = time.monotonic()
+            if now < self._next_step:
+                return
+            self._next_step = now + STEPS_EVERY_S
+        message = message_of(event, self._standing)
+        if message is not None and (channel := self._watched(EVENT_TOPIC)):
+            level, text = message
+            channel.log(encode_log(time.time(), level, str(kind), text))
         if channel := self._watched(PROGRESS_TOPIC):
             channel.log(json.dumps(self._standing.snapshot()))
 
@@ -155,20 +204,8 @@ class FoxgloveLive:
                 for message, at in zip(self._topics.encode(topic, chosen), times, strict=True):
                     channel.log(message, log_time=at)
 
-    def _tell(self, kind: str, level: int, text: str) -> None:
-        if channel := self._watched(EVENT_TOPIC):
-            channel.log(encode_log(time.time(), level, kind, text))
-
-    def _step_is_due(self) -> bool:
-        """On a virtual clock steps fly past; nobody reads a hundred a second."""
-        now = time.monotonic()
-        if now < self._next_step:
-            return False
-        self._next_step = now + STEPS_TOLD_EVERY_S
-        return True
-
     def _watched(self, topic: str) -> Channel | None:
-        """The channel of a topic if anybody looks at it: encoding for nobody would cost time."""
+        """Return the channel of a topic if it has a viewer: encoding for none costs time."""
         channel = self._channels.get(topic)
         return channel if channel is not None and channel.has_sinks() else None
 
@@ -191,22 +228,11 @@ class FoxgloveLive:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this machine can reach an address."""
+    """Return whether only this machine can reach an address."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
         return host == "localhost"
-
-
-def _sdk() -> Any:
-    try:
-        return import_module("foxglove")
-    except ModuleNotFoundError as error:
-        raise plugins.not_installed("the live view", ["foxglove"], "live") from error
-    except ImportError as error:
-        raise PluginError(
-            f"the live view needs foxglove-sdk: {error}", hint='pip install "hil[live]"'
-        ) from error
 
 
 def _refused(host: str, ports: list[int | None], refusal: RuntimeError) -> PluginError:
@@ -221,12 +247,115 @@ def _refused(host: str, ports: list[int | None], refusal: RuntimeError) -> Plugi
     )
 
 
-def _reachable(host: str) -> str:
-    """What a viewer can connect to: "any address" is none."""
-    try:
-        address = ipaddress.ip_address(host)
-    except ValueError:
-        return host
-    if address.is_unspecified:
-        return socket.gethostname()
-    return f"[{address}]" if address.version == 6 else host
+@dataclass(frozen=True, slots=True)
+class RosSchema:
+    """A ROS 2 message definition, as viewers want it."""
+
+    name: str
+    text: str
+
+
+class RobotTopics:
+    """The topics of one robot: what they are called, and their messages.
+
+    Args:
+        robot: Joint names, rate and units.
+    """
+
+    def __init__(self, robot: Capabilities) -> None:
+        n, unit = len(robot.joint_names), "A" if robot.effort_kind == "current" else "N·m"
+        self._state = state_topic(n, robot.rate_hz, clock=robot.clock, effort_unit=unit)
+        self._tracking = Topic(
+            name=TRACKING_TOPIC,
+            dtype=np.dtype(
+                [
+                    ("device_time", "<f8"),
+                    ("host_time", "<f8"),
+                    ("tracking_error", "<f8", (n,)),
+                ]
+            ),
+            rate_hz=robot.rate_hz,
+            clock=robot.clock,
+            units={"device_time": "s", "host_time": "s (Unix time)", "tracking_error": "rad"},
+            schema_name=f"hil/msg/TrackingError{n}",
+        )
+        self._joints = JointStateView(robot.joint_names, robot.rate_hz)
+
+    @property
+    def row_topics(self) -> tuple[str, ...]:
+        """The topics that have a message for every row that is shown."""
+        return JOINT_STATE_TOPIC, self._state.name, self._tracking.name
+
+    @property
+    def schemas(self) -> dict[str, RosSchema]:
+        """Topic → schema, of everything that is CDR."""
+        own = (self._state, self._tracking)
+        return {
+            JOINT_STATE_TOPIC: RosSchema(JOINT_STATE_SCHEMA, JOINT_STATE_TEXT),
+            **{topic.name: RosSchema(topic.schema_name, topic.schema_text) for topic in own},
+            EVENT_TOPIC: RosSchema(EVENT_SCHEMA, EVENT_TEXT),
+        }
+
+    def encode(self, topic: str, rows: StructArray) -> Iterator[bytes]:
+        """Return one message per state row.
+
+        Raises:
+            ValueError: The rows have another number of joints than the robot.
+        """
+        if topic == JOINT_STATE_TOPIC:
+            return (message.tobytes() for message in self._joints.encode(rows))
+        if topic == self._tracking.name:
+            tracking = np.empty(len(rows), self._tracking.dtype)
+            tracking["device_time"] = rows["device_time"]
+            tracking["host_time"] = rows["host_time"]
+            tracking["tracking_error"] = rows["q_target"] - rows["q"]
+            rows = tracking
+        return (CDR_HEADER + row.tobytes() for row in rows)
+
+
+AT_ONCE = 12
+"""Rows shown of one block at most, so that a burst is no flood."""
+
+
+class Decimation:
+    """Lets at most `rate_hz` rows a second of *wall* time through, spread over what came in.
+
+    A mock on a virtual clock delivers hundreds of blocks a second: most are turned away by one
+    comparison.
+
+    Args:
+        rate_hz: Rows a second of wall time [Hz].
+        clock: Monotonic wall clock [s].
+    """
+
+    def __init__(
+        self, rate_hz: float = MAX_RATE_HZ, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._rate_hz = rate_hz
+        self._clock = clock
+        self._last = clock()
+        self._allowed = 1.0
+
+    def due(self) -> int:
+        """Return how many rows may be shown now."""
+        return min(AT_ONCE, int(self._allowed + (self._clock() - self._last) * self._rate_hz))
+
+    def select(self, rows: StructArray) -> tuple[StructArray, FloatArray]:
+        """Select the rows to show, evenly spread and with the newest.
+
+        Returns:
+            Rows, and their age in wall time [s], shape (len(rows),): the time since the newest
+            row by the device clock, shrunk where that runs faster than the wall.
+        """
+        n = min(self.due(), len(rows))
+        if not n:
+            return rows[:0], np.empty(0)
+        every = -(-len(rows) // n)
+        chosen = rows[(len(rows) - 1) % every :: every]
+        now = self._clock()
+        elapsed, self._last = now - self._last, now
+        self._allowed = min(AT_ONCE, self._allowed + elapsed * self._rate_hz) - len(chosen)
+        age = chosen["device_time"][-1] - chosen["device_time"]
+        # The oldest comes after the newest of the last time: no viewer's time runs backwards.
+        longest = elapsed * (1 - 1 / len(chosen))
+        return chosen, age * min(1.0, longest / max(float(age[0]), 1e-9))

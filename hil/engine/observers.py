@@ -10,12 +10,10 @@ import contextlib
 import queue
 import threading
 import time
-from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Protocol
 
 from hil.core import StructArray
-
-Event = Mapping[str, Any]
+from hil.engine.standing import Event
 
 
 class Observer(Protocol):

@@ -75,9 +75,8 @@ class CheckResult:
 
         def writable(figure: Figure) -> Figure:
             # JSON has no number for NaN and infinity.
-            return (
-                str(figure) if isinstance(figure, float) and not math.isfinite(figure) else figure
-            )
+            odd = isinstance(figure, float) and not math.isfinite(figure)
+            return str(figure) if odd else figure
 
         return {
             "name": self.name,

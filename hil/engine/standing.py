@@ -1,11 +1,21 @@
-"""Where a run stands, folded from the events of the engine; old and partial events will do."""
+"""Where a run stands, and the words for it and for its events.
+
+`Standing` folds the events that the engine publishes into one picture. Terminal, live file,
+dashboard and network view each hold one and describe it with the same words, so that a run reads
+the same wherever it is watched. Events may be old or partial: keys that are missing change nothing.
+
+Two kinds of events are put into words. `message_of` is for those that observers receive, such as
+`{"kind": "step", …}`; `words_of` is for the lines of `events.jsonl`, which hold more.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from typing import Any
+
+from hil.core import plain
 
 PACE_KNOWN_AFTER_S = 0.5
 """A virtual clock needs a moment to show its pace; before that the plan's own time stands [s]."""
@@ -15,6 +25,8 @@ BEHIND_SHOWN_S = 0.5
 
 PAUSED = "paused"
 ENDING = ("stopping", "done")
+
+Event = Mapping[str, Any]
 
 
 @dataclass(slots=True)
@@ -61,8 +73,8 @@ class Standing:
     paused_s: float = 0.0
     resumed: int = 0
 
-    def take(self, event: Mapping[str, Any]) -> None:
-        """Learn from an event; keys it lacks keep their value, kinds it does not know are left."""
+    def take(self, event: Event) -> None:
+        """Update from an event; keys it lacks keep their value, unknown kinds change nothing."""
         kind = event.get("kind")
         if kind == "stage":
             self.stage = str(event.get("stage", ""))
@@ -71,22 +83,20 @@ class Standing:
             self.reason = str(event.get("reason", ""))
             self.pausing = ""
         elif kind == "prompt":
-            self._take_prompt(event)
+            if event.get("answered_by"):
+                self.prompt = ""
+            else:
+                number = event.get("asked")
+                self.prompt = str(event.get("text", ""))
+                self.asked = number if isinstance(number, int) else self.asked + 1
         elif kind in ("step", "progress"):
             before = self.device_s
             for name in _COUNTED & event.keys():
-                if _known(event[name]):
-                    setattr(self, name, event[name])
+                value = event[name]
+                if not isinstance(value, float) or math.isfinite(value):  # NaN: no sample yet
+                    setattr(self, name, value)
             if self.waits:
                 self.paused_s += max(0.0, self.device_s - before)
-
-    def _take_prompt(self, event: Mapping[str, Any]) -> None:
-        if event.get("answered_by"):
-            self.prompt = ""
-            return
-        number = event.get("asked")
-        self.prompt = str(event.get("text", ""))
-        self.asked = number if isinstance(number, int) else self.asked + 1
 
     @property
     def waits(self) -> bool:
@@ -148,12 +158,129 @@ _COUNTED = {field.name for field in fields(Standing)} - {
 }  # fmt: skip
 
 
-def _known(value: Any) -> bool:
-    """Times are NaN before the first sample."""
-    return not isinstance(value, float) or math.isfinite(value)
-
-
 def _count(number: int, what: str) -> str:
     if not number:
         return ""
     return f"1 {what}" if number == 1 else f"{number} {what}s"
+
+
+def state_words(standing: Standing) -> str:
+    """Return the state and its reason: `paused: interlock temperature: …`."""
+    return f"{standing.state}: {standing.reason}" if standing.reason else standing.state
+
+
+def share_words(standing: Standing) -> str:
+    """Return ` 12 %`; of a run that was resumed ` 12 % of what was left`."""
+    of = " of what was left" if standing.resumed else ""
+    return f"{100 * standing.share:3.0f} %{of}"
+
+
+def step_words(standing: Standing) -> str:
+    """Return `step 12/650 dwell, pose 5`; nothing before the first one."""
+    if not standing.steps:
+        return ""
+    if standing.step < 0:  # what a resumed run does before it goes on
+        return "on the way back"
+    load = standing.load if standing.doing in ("payload", "weigh") else -1
+    subjects = (("pose", standing.pose), ("trajectory", standing.trajectory), ("load", load))
+    of = [f"{what} {i}" for what, i in subjects if i >= 0]
+    doing = ", ".join([standing.doing, *of]) if standing.doing else ""
+    return f"step {standing.step + 1}/{standing.steps} {doing}".rstrip()
+
+
+def answer_words(event: Event) -> str:
+    """Return `answered by anna`, or `anna answered no`: that ends the run."""
+    who = event.get("answered_by") or "nobody"
+    return f"{who} answered no" if event.get("answer") == "no" else f"answered by {who}"
+
+
+# Events that observers receive.
+
+DEBUG, INFO, WARNING, ERROR = 10, 20, 30, 40
+"""Levels of `rcl_interfaces/msg/Log`."""
+
+
+def message_of(event: Event, standing: Standing) -> tuple[int, str] | None:
+    """Return level and text of an event; None for one that is no news by itself.
+
+    Args:
+        event: Of the engine.
+        standing: Where the run stands, that event included.
+    """
+    kind = event.get("kind")
+    if kind == "stage":
+        return INFO, standing.stage
+    if kind == "state":
+        if standing.state in ENDING and standing.reason and not standing.completed:
+            return ERROR, state_words(standing)
+        return (WARNING if standing.state == PAUSED else INFO), state_words(standing)
+    if kind == "step":
+        return DEBUG, step_words(standing)
+    if kind == "prompt":
+        text = event.get("text", "")
+        if not event.get("answered_by"):
+            return WARNING, f"asking: {text}"
+        return INFO, f"{answer_words(event)}: {text}"
+    return None
+
+
+# Lines of the event log.
+
+MOST = 2000
+"""Characters of one line; what files say was written by anybody."""
+
+
+def words_of(event: Event, run: str) -> str:
+    """Return one event of the log of `run`, for people."""
+    words = _WORDS.get(str(event["kind"]), _any)
+    try:
+        text = words(event, run)
+    except (KeyError, TypeError, ValueError):  # written by another version
+        text = _any(event, run)
+    return plain(text, most=MOST)
+
+
+def _any(event: Event, run: str) -> str:
+    details = {key: value for key, value in event.items() if key not in ("t", "time", "kind")}
+    return " ".join([str(event["kind"]), *(f"{key}={value}" for key, value in details.items())])
+
+
+def _interlocks(event: Event, run: str) -> str:
+    each = (f"{one['name']} {one['limit'] or one['action']}" for one in event["watching"])
+    return f"watched by interlocks: {', '.join(each)}"
+
+
+def _dwell(event: Event, run: str) -> str:
+    how = "settled" if event["settled"] else "did not settle"
+    return f"step {event['step'] + 1}: dwell {how} in {event['elapsed_s']:.2f} s"
+
+
+def _control(event: Event, run: str) -> str:
+    reason = f": {event['reason']}" if event.get("reason") else ""
+    refused = f" (not done: {event['problem']})" if event.get("problem") else ""
+    return f"{event.get('who', 'somebody')} asked to {event['what']}{reason}{refused}"
+
+
+def _weighing(event: Event, run: str) -> str:
+    if event["result"] == "skipped":
+        return f"loads are not weighed: {event['reason']}"
+    load, why = event["load"], event.get("problem")
+    if event["result"] == "first":
+        return f"load {load} weighed: the others are compared with it"
+    return f"load {load} weighed: {event['result']}" + (f": {why}" if why else "")
+
+
+_WORDS: dict[str, Callable[[Event, str], str]] = {
+    "interlocks": _interlocks,
+    "state": lambda e, run: f"{e['state']}" + (f": {e['reason']}" if e.get("reason") else ""),
+    "checkpoint": lambda e, run: f"step {e['step'] + 1}: checkpoint",
+    "dwell": _dwell,
+    "payload": lambda e, run: f"load {e['load']}: {e['mass_kg']:g} kg set",
+    "asked": lambda e, run: f"asks: {e['text']} (answer: hil answer {run} yes)",
+    "prompt": lambda e, run: answer_words(e),
+    "paused": lambda e, run: f"paused: {e['reason']}",
+    "resumed": lambda e, run: f"resumed by {e['by']}",
+    "trip": lambda e, run: f"tripped: {e['reason']}",
+    "control": _control,
+    "weighing": _weighing,
+}
