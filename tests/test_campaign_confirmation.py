@@ -18,9 +18,7 @@ from typer.testing import CliRunner
 import hil
 from hil.cli.app import app
 from hil.core.errors import DataError, NotConfirmed, RobotFault, SpecError, exit_code_of
-from hil.engine import Reply
-from hil.engine.pausing import nobody_goes_on
-from hil.engine.steps import Steps
+from hil.engine import Engine, Reply, nobody_goes_on
 from hil.planning.plan import Plan
 from hil.robot import Address
 from hil.workflow import confirmation, starting
@@ -123,15 +121,15 @@ def stopped(
     experiment: hil.Experiment, monkeypatch: pytest.MonkeyPatch, confirm: confirmation.Confirm
 ) -> RunReport:
     """A run that somebody stopped after its first measurements."""
-    original = Steps.execute
+    original = Engine._execute
 
-    def stopping(steps: Steps, step: Any) -> None:
+    def stopping(engine: Engine, step: Any) -> None:
         if step.index == 8:
-            steps._reading.requests.stop = "the test wants it"
-        original(steps, step)
+            engine.request_stop("the test wants it")
+        original(engine, step)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Steps, "execute", stopping)
+        patch.setattr(Engine, "_execute", stopping)
         report = run(experiment, confirm)
     assert report.outcome == "stopped"
     return report

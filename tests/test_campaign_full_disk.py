@@ -12,7 +12,7 @@ import pytest
 
 import hil
 from hil.core.errors import PreflightFailed
-from hil.engine.steps import Steps
+from hil.engine import Engine
 from hil.planning.plan import Step
 from hil.recording.reserve import BYTES, NAME
 from hil.recording.rundir import RunDirectory
@@ -48,9 +48,9 @@ def test_a_disk_that_fills_up_in_motion_ends_as_failed_and_keeps_what_there_was(
 ) -> None:
     spec = tmp_path / "full.yaml"
     spec.write_text(SPEC, "utf-8")
-    execute = Steps.execute
+    execute = Engine._execute
 
-    def filling(steps: Steps, step: Step) -> None:
+    def filling(engine: Engine, step: Step) -> None:
         if step.kind == "warmup" and not (small_disk / "other").exists():
             with (
                 contextlib.suppress(OSError),
@@ -58,9 +58,9 @@ def test_a_disk_that_fills_up_in_motion_ends_as_failed_and_keeps_what_there_was(
             ):
                 while True:
                     other.write(bytes(4096))
-        execute(steps, step)
+        execute(engine, step)
 
-    monkeypatch.setattr(Steps, "execute", filling)
+    monkeypatch.setattr(Engine, "_execute", filling)
     report = hil.run(hil.load(spec), runs=small_disk)
     run = RunDirectory.open(report.run)
     assert report.outcome == "failed"

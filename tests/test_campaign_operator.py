@@ -22,8 +22,7 @@ from live_run import until
 
 from hil.arms.payload import Payload
 from hil.core.errors import PreflightFailed, SpecError, Stopped
-from hil.engine import Reply
-from hil.engine.prompt import NOBODY
+from hil.engine import NOBODY, Reply
 from hil.planning.plan import LoadStep, Step
 from hil.robot import Capabilities
 from hil.workflow.answers import ScriptedOperator, load_answers

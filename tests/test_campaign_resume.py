@@ -20,8 +20,7 @@ import pytest
 
 import hil
 from hil.core.errors import DataError, PreflightFailed, RecordingError
-from hil.engine import Reply
-from hil.engine.steps import Steps
+from hil.engine import Engine, Reply
 from hil.importers import completeness
 from hil.importers.completeness import completeness_of
 from hil.importers.load import load_source
@@ -64,14 +63,14 @@ class StopsAt:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, step: int) -> None:
         self.step = step
-        original = Steps.execute
+        original = Engine._execute
 
-        def stopping(steps: Steps, step: Any) -> None:
+        def stopping(engine: Engine, step: Any) -> None:
             if step.index == self.step:
-                steps._reading.requests.stop = "the test wants it"
-            original(steps, step)
+                engine.request_stop("the test wants it")
+            original(engine, step)
 
-        monkeypatch.setattr(Steps, "execute", stopping)
+        monkeypatch.setattr(Engine, "_execute", stopping)
 
 
 def stopped_run(folder: Path, monkeypatch: pytest.MonkeyPatch, step: int, text: str = SPEC) -> Path:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from hil.core.typing import FloatArray, StructArray
-from hil.engine.dwell import DwellWatch
+from hil.engine.engine import DwellWatch
 from hil.excitation.motion import FourierSeries
 from hil.importers.completeness import (
     completeness_of,

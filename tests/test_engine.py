@@ -16,8 +16,8 @@ from hil.arms.payload import Payload
 from hil.core.errors import InterlockTripped, PlanError, RobotFault
 from hil.core.typing import StructArray
 from hil.engine import Observers, Outcome, Reply, RunState
+from hil.engine.engine import IllegalTransition, StateMachine
 from hil.engine.interlocks import Threshold, interlocks_from_spec
-from hil.engine.states import IllegalTransition, StateMachine
 from hil.robot import Robot
 from hil.spec.experiment import SpeedInterlock, TemperatureInterlock, TrackingErrorInterlock
 

@@ -20,8 +20,8 @@ from hil.core.errors import (
 )
 from hil.core.typing import StructArray
 from hil.engine import TRANSITIONS, Outcome, RunState
-from hil.engine.freshness import Deadline
-from hil.engine.telling import under_way
+from hil.engine.engine import under_way
+from hil.engine.reading import Deadline
 from hil.excitation.motion import Hold
 from hil.planning.plan import LoadStep, Plan, Step
 from hil.robot import Status

@@ -7,7 +7,7 @@ import pytest
 from interlock_parts import rows
 
 from hil.core.errors import InterlockTripped, StaleState
-from hil.engine.freshness import STALE_AFTER_BLOCKS, Freshness
+from hil.engine.reading import STALE_AFTER_BLOCKS, Freshness
 
 
 class Wall:

@@ -47,7 +47,7 @@ class WallRobot(KinematicRobot):
 def test_a_call_that_never_returns_ends_the_run_and_commands_nothing_later(
     monkeypatch: pytest.MonkeyPatch, call: str
 ) -> None:
-    monkeypatch.setattr("hil.engine.steps.COMMAND_WITHIN_S", 0.3)
+    monkeypatch.setattr("hil.engine.engine.COMMAND_WITHIN_S", 0.3)
     monkeypatch.setattr(watchdog.Watchdog.__init__, "__kwdefaults__", {"limit_s": 0.3, "on": True})
     robot, sink = WallRobot(call), ListSink()
     begin = time.monotonic()

@@ -13,7 +13,7 @@ from kinematic_robot import KinematicRobot
 from hil.core.errors import InterlockTripped
 from hil.core.typing import StructArray
 from hil.engine import Outcome
-from hil.engine.judging import SLOW_S, Judge
+from hil.engine.reading import SLOW_S, Judge
 from hil.robot import Capabilities
 
 

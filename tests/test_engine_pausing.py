@@ -13,10 +13,9 @@ from kinematic_robot import KinematicRobot
 
 from hil.core.typing import StructArray
 from hil.engine import Engine, Observers, Outcome, RunState
+from hil.engine.engine import CLEAR_FOR_S, TRANSITIONS
 from hil.engine.interlocks import Threshold
-from hil.engine.pausing import CLEAR_FOR_S
 from hil.engine.signals import SignalWatch
-from hil.engine.states import TRANSITIONS
 
 
 class AtStep:
@@ -156,7 +155,7 @@ def test_a_violation_that_is_over_at_the_checkpoint_still_pauses_for_a_moment() 
 def test_an_unattended_run_that_stays_held_ends_and_names_the_interlock(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("hil.engine.pausing.UNATTENDED_S", 6.0)
+    monkeypatch.setattr("hil.engine.engine.UNATTENDED_S", 6.0)
     sink, result = hot_run(for_s=np.inf)
     assert result.outcome is Outcome.TRIPPED
     assert "interlock temperature: j3" in result.reason
@@ -166,7 +165,7 @@ def test_an_unattended_run_that_stays_held_ends_and_names_the_interlock(
 
 
 def test_an_attended_run_that_stays_held_waits(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hil.engine.pausing.UNATTENDED_S", 6.0)
+    monkeypatch.setattr("hil.engine.engine.UNATTENDED_S", 6.0)
     _, result = hot_run(for_s=9.0, go_on=lambda: "")
     assert result.outcome is Outcome.COMPLETED
 
@@ -174,7 +173,7 @@ def test_an_attended_run_that_stays_held_waits(monkeypatch: pytest.MonkeyPatch) 
 def test_a_pause_that_a_person_asked_for_does_not_end_an_unattended_run(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("hil.engine.pausing.UNATTENDED_S", 1.0)
+    monkeypatch.setattr("hil.engine.engine.UNATTENDED_S", 1.0)
     robot, sink = KinematicRobot(), ListSink()
     paused: list[int] = []
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from hil.core.errors import HilError
-from hil.engine.pausing import nobody_goes_on
+from hil.engine import nobody_goes_on
 from hil.maintenance.fleet import worker, workers
 from hil.maintenance.fleet.worker import Job
 from hil.maintenance.fleet.workers import Manner, Workers

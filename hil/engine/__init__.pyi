@@ -1,4 +1,13 @@
+from .engine import NOBODY as NOBODY
+from .engine import TRANSITIONS as TRANSITIONS
 from .engine import Engine as Engine
+from .engine import GoOn as GoOn
+from .engine import Outcome as Outcome
+from .engine import Prompt as Prompt
+from .engine import Reply as Reply
+from .engine import RunResult as RunResult
+from .engine import RunState as RunState
+from .engine import nobody_goes_on as nobody_goes_on
 from .interlocks import HasMargin as HasMargin
 from .interlocks import Interlock as Interlock
 from .interlocks import InterlockContext as InterlockContext
@@ -12,8 +21,6 @@ from .live_view import FoxgloveLive as FoxgloveLive
 from .live_view import is_loopback as is_loopback
 from .observers import Observer as Observer
 from .observers import Observers as Observers
-from .pausing import GoOn as GoOn
-from .pausing import nobody_goes_on as nobody_goes_on
 from .preflight import OWN as OWN
 from .preflight import REST_RAD_S as REST_RAD_S
 from .preflight import CheckResult as CheckResult
@@ -23,11 +30,7 @@ from .preflight import preflight_context as preflight_context
 from .preflight import require_preflight as require_preflight
 from .preflight import require_room_to_begin as require_room_to_begin
 from .preflight import require_waivable as require_waivable
-from .prompt import NOBODY as NOBODY
-from .prompt import Prompt as Prompt
-from .prompt import Reply as Reply
 from .reading import Sink as Sink
-from .result import RunResult as RunResult
 from .signals import WATCHED as WATCHED
 from .signals import SignalWatch as SignalWatch
 from .signals import StopSignal as StopSignal
@@ -42,6 +45,3 @@ from .standing import share_words as share_words
 from .standing import state_words as state_words
 from .standing import step_words as step_words
 from .standing import words_of as words_of
-from .states import TRANSITIONS as TRANSITIONS
-from .states import Outcome as Outcome
-from .states import RunState as RunState

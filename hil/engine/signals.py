@@ -19,10 +19,9 @@ from collections.abc import Iterator
 from types import FrameType, TracebackType
 from typing import Any
 
-from hil.core import Stopped, bounded
-from hil.engine.engine import Engine
-from hil.engine.reading import STOP_WITHIN_S
-from hil.engine.states import RunState
+from hil.core import Stopped
+from hil.engine.engine import Engine, RunState
+from hil.engine.reading import stop_robot
 from hil.robot import Robot
 
 WATCHED = tuple(
@@ -135,6 +134,6 @@ def _last_resort(robot: Robot) -> None:
     try:
         if not _leaving.is_set():
             _leaving.set()
-            bounded(robot.stop, STOP_WITHIN_S, "stopping the robot")
+            stop_robot(robot)
     finally:
         os._exit(EXIT_CODE)
