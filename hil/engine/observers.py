@@ -17,7 +17,7 @@ from hil.engine.standing import Event
 
 
 class Observer(Protocol):
-    """Something that wants to know.
+    """Something that follows a run: a progress line, a plot, a live view.
 
     One that also has a true attribute `wants_rows` is given every block as an event of the kind
     `rows`; it must not change the array. With `rows_every_s` it is given one block in that time,
@@ -25,7 +25,7 @@ class Observer(Protocol):
     """
 
     def notify(self, event: Event) -> None:
-        """Called on the observer's own thread, one event at a time."""
+        """Take an event; called on the observer's own thread, one event at a time."""
 
 
 class ObserverThread:
@@ -44,7 +44,7 @@ class ObserverThread:
 
     @property
     def has_room(self) -> bool:
-        """Whether it keeps up; blocks must not push out of its queue what is told only once."""
+        """Whether it keeps up: blocks must not push events out of its queue that come only once."""
         return self._events.qsize() < self._events.maxsize // 2
 
     def offer_rows(self, rows: StructArray) -> None:
@@ -91,26 +91,26 @@ class Observers:
         self._threads = [ObserverThread(observer) for observer in observers]
 
     def add(self, observer: Observer) -> None:
-        """One more from now on; not while another thread publishes."""
+        """Add an observer from now on; not while another thread publishes."""
         self._threads.append(ObserverThread(observer))
 
     def publish(self, event: Event) -> None:
-        """Tell everybody."""
+        """Offer an event to every observer."""
         for thread in self._threads:
             thread.offer(event)
 
     def publish_rows(self, rows: StructArray) -> None:
-        """Give a block to those who want blocks."""
+        """Offer a block to the observers that want blocks."""
         for thread in self._threads:
             thread.offer_rows(rows)
 
     def close(self) -> list[str]:
-        """End all observers; returns what went wrong with any of them."""
+        """End all observers; return what went wrong with any of them."""
         for thread in self._threads:
             thread.close()
         return self.problems()
 
     def problems(self) -> list[str]:
-        """What has gone wrong with any of them so far."""
+        """Return what has gone wrong with any of them so far."""
         failures = [f"observer failed: {t.failure!r}" for t in self._threads if t.failure]
         return failures + [f"observer lost {t.dropped} events" for t in self._threads if t.dropped]

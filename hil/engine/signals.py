@@ -70,12 +70,12 @@ class SignalWatch:
             signal.signal(number, handler)
 
     def stopped(self) -> Stopped:
-        """What has been seen, as an error of the tree."""
+        """Return the stop that the signals asked for, as an error of the tree."""
         return Stopped(self.reason, by_signal=True)
 
     @contextlib.contextmanager
     def guard(self) -> Iterator[None]:
-        """While inside, signals are noted, passed on to a bound engine, and raise nothing."""
+        """Note signals while inside and pass them on to a bound engine; they raise nothing."""
         self._guarding = True
         try:
             yield
@@ -108,7 +108,7 @@ class SignalWatch:
             _last_resort(robot)
 
     def _pauses(self, number: int) -> bool:
-        """Whether a signal is the first Ctrl-C of a run that can still pause."""
+        """Return whether a signal is the first Ctrl-C of a run that can still pause."""
         assert self._bound is not None
         engine = self._bound[0]
         can = engine.state in (RunState.PREFLIGHT, RunState.ARMED, RunState.RUNNING)
@@ -117,7 +117,7 @@ class SignalWatch:
 
 
 def ignore_from_now_on() -> None:
-    """The work is done and is about to be told: a late signal must not spoil the telling."""
+    """Ignore the watched signals: the work is done, and a late one must not spoil its report."""
     if threading.current_thread() is threading.main_thread():
         for number in WATCHED:
             signal.signal(number, signal.SIG_IGN)
@@ -127,7 +127,7 @@ _leaving = threading.Event()
 
 
 def _last_resort(robot: Robot) -> None:
-    """Three signals: whoever presses means it, and the engine may be stuck in a driver.
+    """Stop the robot directly and end the process: the engine may be stuck in a driver.
 
     So may `stop` itself: it gets a moment, and none at all when another signal comes meanwhile.
     """
