@@ -588,7 +588,7 @@ def code_from_git(folder: Path) -> str:
     """Run a spec in repositories that would each run a program; none may leave its mark."""
     from git_parts import TRAPS, program, repository_with
 
-    from hil.recording.git import git_state
+    from hil.recording.provenance import git_state
 
     for number, (name, trap) in enumerate(TRAPS.items()):
         home = folder / str(number)

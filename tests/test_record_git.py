@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from git_parts import TRAPS, git, program, repository_with
 
-import hil.recording.git as reading
-from hil.recording.git import git_state, is_tracked
+import hil.recording.provenance as reading
+from hil.recording.provenance import git_state, is_tracked
 
 
 @pytest.fixture
@@ -120,7 +120,7 @@ def test_without_a_repository_or_a_commit_there_is_no_state(tmp_path: Path) -> N
 def test_a_pipe_in_place_of_a_file_holds_nobody_up(
     where: str, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(reading, "TIMEOUT_S", 0.2)
+    monkeypatch.setattr(reading, "GIT_TIMEOUT_S", 0.2)
     path = folder / ".git" / where
     path.unlink(missing_ok=True)
     os.mkfifo(path)
@@ -136,7 +136,7 @@ def test_a_hanging_git_does_not_hold_up_a_run(
     slow.write_text("#!/bin/sh\nexec sleep 30\n")
     slow.chmod(0o755)
     sha = git(folder, "rev-parse", "HEAD")
-    monkeypatch.setattr(reading, "TIMEOUT_S", 0.1)
+    monkeypatch.setattr(reading, "GIT_TIMEOUT_S", 0.1)
     monkeypatch.setattr(reading.shutil, "which", lambda name, path: str(slow))
     began = time.perf_counter()
     assert git_state(folder) == {"sha": sha, "dirty": None}
