@@ -14,7 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from hil.recording.numbering import number_of
+from hil.recording.run_directory import number_of
 from hil.runs.listing import run_paths
 from hil.runs.view import FILE, find_runs
 

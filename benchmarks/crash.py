@@ -30,7 +30,7 @@ from hil.core.errors import DataError
 from hil.core.typing import StructArray
 from hil.recording import Attachment, McapWriter, Recorder, read_topic
 from hil.recording.recover_run import recover
-from hil.recording.rundir import RunDirectory
+from hil.recording.run_directory import RunDirectory
 from hil.robot.topic import STATE_TOPIC, state_topic
 
 RATE_HZ = 500.0

@@ -25,7 +25,7 @@ import numpy as np
 from hil.core.errors import DataError
 from hil.core.typing import FloatArray, StructArray
 from hil.recording import Counts, McapWriter, Recorder, read_topic
-from hil.recording.parts import part_name, recordings_in
+from hil.recording.recording_files import part_name, recordings_in
 from hil.robot.topic import STATE_TOPIC, state_topic
 
 RATE_HZ = 500.0

@@ -792,7 +792,7 @@ def killed_before_report(folder: Path) -> str:
 
 @finding("B7", "reserve")
 def reserve_left(folder: Path) -> str:
-    write_stop = "hil.recording.rundir:write_stop"
+    write_stop = "hil.recording.run_directory:write_stop"
     spec = small_spec(folder)
     killed_at(write_stop, "run", spec, cwd=folder, of="module.RunDirectory")
     killed_at(write_stop, "run", spec, cwd=folder, of="module.RunDirectory")
@@ -811,7 +811,7 @@ def reserve_left(folder: Path) -> str:
 @finding("B8", "killed before start.json")
 def killed_before_start(folder: Path) -> str:
     spec = small_spec(folder)
-    start = "hil.recording.rundir:write_start"
+    start = "hil.recording.run_directory:write_start"
     killed_at(start, "run", spec, cwd=folder, of="module.RunDirectory")
     assert len(list(folder.glob("runs/*/*/.draft-*/plan.json"))) == 1
     listed = json.loads(hil("runs", "--json", cwd=folder).stdout)

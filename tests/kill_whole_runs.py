@@ -266,9 +266,9 @@ def listed(folder: Path) -> list[dict[str, Any]]:
 def rows_on_disk(run: Path) -> dict[int, bytes]:
     """Return the rows of each attempt that can be read from the disk at this moment."""
     from hil.core.errors import DataError
-    from hil.recording.parts import attempt_of
     from hil.recording.reader import read_topic
-    from hil.recording.rundir import RunDirectory
+    from hil.recording.recording_files import attempt_of
+    from hil.recording.run_directory import RunDirectory
 
     rows: dict[int, bytes] = {}
     for path in RunDirectory(run).recordings:
@@ -301,13 +301,13 @@ def gone_on_with(folder: Path) -> str:
 def require_whole(folder: Path, run: Path, before: dict[int, bytes]) -> None:
     """Require a run at its end, with all that was on the disk before."""
     from hil.importers.load import load_source
-    from hil.recording.reserve import NAME
+    from hil.recording.run_directory import RESERVE
 
     (entry,) = listed(folder)
     told = f"{entry['status']}, verdict {entry['verdict']}, next {entry['next']!r}"
     require((entry["status"], entry["next"]) == ("completed", ""), told)
     require((run / "report.html").is_file(), "there is no report")
-    require(not (run / NAME).exists(), "the reserve is still there")
+    require(not (run / RESERVE).exists(), "the reserve is still there")
     after = rows_on_disk(run)
     for attempt, rows in before.items():
         require(after[attempt].startswith(rows), f"rows of attempt {attempt} are lost")

@@ -57,7 +57,7 @@ def _main(runs: Path, prompt: str, times: str) -> None:
     from hil.engine import Engine, Observers
     from hil.excitation.motion import Hold
     from hil.planning.plan import DwellRule, LoadStep, Plan, Step
-    from hil.recording.rundir import RunDirectory
+    from hil.recording.run_directory import RunDirectory
     from hil.workflow.control import Control
     from hil.workflow.live_state import LiveState
     from hil.workflow.operator import ConsoleOperator

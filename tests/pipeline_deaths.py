@@ -19,7 +19,7 @@ from hil.importers.load import load_source
 from hil.maintenance.pipeline.stages import FOLDER
 from hil.maintenance.schedule.ledger import Ledger
 from hil.models.model_registry import Registry
-from hil.recording.rundir import RunDirectory
+from hil.recording.run_directory import RunDirectory
 
 SCRIPT = Path(__file__).with_name("pipeline_dies.py")
 SECOND = occasion(1, "campaign").id

@@ -14,7 +14,7 @@ from hil.core.errors import DataError
 from hil.evaluation.holdout import hold_out
 from hil.importers.load import load_source
 from hil.recording.reader import read_topic
-from hil.recording.rundir import RunDirectory
+from hil.recording.run_directory import RunDirectory
 from hil.spec.experiment import HoldOut
 from hil.workflow.run_report import RunReport
 

@@ -19,7 +19,7 @@ from hil.core.errors import PreflightFailed, RecordingError, SpecError, Stopped
 from hil.engine import Engine
 from hil.engine.signals import SignalWatch
 from hil.recording.recorder import Recorder
-from hil.recording.rundir import RunDirectory
+from hil.recording.run_directory import RunDirectory
 from hil.workflow import execute, operator, recording
 
 EXPERIMENTS = Path(__file__).parent.parent / "experiments"

@@ -14,8 +14,7 @@ import hil
 from hil.core.errors import PreflightFailed
 from hil.engine import Engine
 from hil.planning.plan import Step
-from hil.recording.reserve import BYTES, NAME
-from hil.recording.rundir import RunDirectory
+from hil.recording.run_directory import RESERVE, RESERVE_BYTES, RunDirectory
 
 SPEC = """
 hil: 1
@@ -66,7 +65,7 @@ def test_a_disk_that_fills_up_in_motion_ends_as_failed_and_keeps_what_there_was(
     assert report.outcome == "failed"
     assert run.status == "failed"
     assert run.recordings
-    assert not (report.run / NAME).exists()
+    assert not (report.run / RESERVE).exists()
 
 
 def test_a_disk_without_room_for_the_reserve_fails_preflight_before_there_is_a_run(
@@ -75,7 +74,7 @@ def test_a_disk_without_room_for_the_reserve_fails_preflight_before_there_is_a_r
     spec = tmp_path / "full.yaml"
     spec.write_text(SPEC, "utf-8")
     free = shutil.disk_usage(small_disk).free
-    (small_disk / "other").write_bytes(bytes(free - BYTES // 2))
+    (small_disk / "other").write_bytes(bytes(free - RESERVE_BYTES // 2))
     runs = small_disk / "runs"
     with pytest.raises(PreflightFailed, match=r"disk: 0\.5 MB are free"):
         hil.run(hil.load(spec), runs=runs)
@@ -84,9 +83,9 @@ def test_a_disk_without_room_for_the_reserve_fails_preflight_before_there_is_a_r
 
 def test_a_run_holds_a_reserve_until_its_end(tmp_path: Path) -> None:
     run = RunDirectory.create(tmp_path, "ur5", "reserve")
-    assert (run.path / NAME).stat().st_size > 0
+    assert (run.path / RESERVE).stat().st_size > 0
     run.write_start({"uid": "1"})
     run.write_stop("completed", "")
-    assert not (run.path / NAME).exists()
+    assert not (run.path / RESERVE).exists()
     assert run.stop is not None
-    assert NAME not in run.stop["sha256"]
+    assert RESERVE not in run.stop["sha256"]

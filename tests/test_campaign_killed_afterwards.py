@@ -15,9 +15,7 @@ import hil
 from hil.cli.app import app
 from hil.core.errors import DataError, FitError, Rejected
 from hil.recording.recover_run import recover
-from hil.recording.reserve import NAME as RESERVE
-from hil.recording.reserve import reserve
-from hil.recording.rundir import RunDirectory
+from hil.recording.run_directory import RESERVE, RunDirectory, reserve
 from hil.runs.summary import list_runs
 
 SPEC = """

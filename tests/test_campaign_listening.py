@@ -22,7 +22,7 @@ from hil.core.errors import DataError, PluginError, RobotConnectionError, SpecEr
 from hil.data.dwells import dwells_of
 from hil.importers.load import load_source
 from hil.recording.reader import read_topic
-from hil.recording.rundir import RunDirectory
+from hil.recording.run_directory import RunDirectory
 from hil.report import render_report
 from hil.robot import Capabilities, Identity, Limits, Listens, Robot
 from hil.robot.state import Status

@@ -16,7 +16,7 @@ from hil.dynamics import load_model
 from hil.estimators import load_model_file
 from hil.estimators.static import StaticWls
 from hil.importers.load import gravity_of, load_source
-from hil.recording.rundir import RunDirectory
+from hil.recording.run_directory import RunDirectory
 from hil.workflow.run_report import RunReport
 
 SPEC = Path(__file__).parent.parent / "experiments" / "ci_dwell_12.yaml"

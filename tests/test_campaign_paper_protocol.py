@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from report_runs import dwell_plan, write_run
 
-from hil.recording.rundir import RunDirectory
+from hil.recording.run_directory import RunDirectory
 from hil.report import render_report
 from hil.report.text import summary_lines
 from hil.spec.load import load_spec

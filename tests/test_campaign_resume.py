@@ -27,7 +27,7 @@ from hil.importers.load import load_source
 from hil.planning.plan import Plan
 from hil.recording.reader import read_topic
 from hil.recording.recorder import Recorder
-from hil.recording.rundir import RunDirectory
+from hil.recording.run_directory import RunDirectory
 from hil.workflow import operator, resuming
 from hil.workflow.live_state import LIVE_FILE, read_live
 from hil.workflow.steering import stop_run

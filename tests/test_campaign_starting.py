@@ -19,7 +19,7 @@ from started_parts import PROMPT, begun, written
 from hil.core.errors import DataError, RecordingError, SpecError
 from hil.recording.events import read_events
 from hil.recording.provenance import STARTED_ID, collect_provenance, started_as
-from hil.recording.rundir import RunDirectory
+from hil.recording.run_directory import RunDirectory
 from hil.workflow import detached, starting
 from hil.workflow.live_state import read_live
 from hil.workflow.starting import Started, check_start, start_run, started_runs

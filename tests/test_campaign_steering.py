@@ -15,7 +15,7 @@ from live_run import live_run, until
 from hil.core.errors import DataError, RobotTimeout
 from hil.core.live_lock import hold_run, is_live
 from hil.recording.events import read_events
-from hil.recording.rundir import RunDirectory
+from hil.recording.run_directory import RunDirectory
 from hil.workflow.following import newest_live, only_live
 from hil.workflow.live_state import read_live
 from hil.workflow.steering import answer_run, pause_run, question_of, resume_live_run, stop_run

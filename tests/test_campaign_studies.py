@@ -12,7 +12,7 @@ from study_parts import register
 
 import hil
 from hil.core.errors import DataError, FitError, SpecError, Stopped
-from hil.recording.rundir import RunDirectory
+from hil.recording.run_directory import RunDirectory
 from hil.report.text import summary_lines
 from hil.studies.store import read_study, study_files
 from hil.workflow.run_report import RunReport

@@ -17,7 +17,7 @@ from hil.core.errors import FitError
 from hil.data.dataset import Dataset
 from hil.estimators.model_file import load_model_file
 from hil.estimators.rigid import RigidWls
-from hil.recording.rundir import RunDirectory
+from hil.recording.run_directory import RunDirectory
 from hil.report.text import summary_lines
 from hil.spec.load import load_spec
 from hil.studies.store import read_study, study_files

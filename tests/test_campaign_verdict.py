@@ -14,7 +14,7 @@ from hil.core import plugins
 from hil.core.errors import DataError, FitError
 from hil.estimators.static import StaticWls
 from hil.evaluation.run_verdict import verdict_word
-from hil.recording.rundir import RunDirectory
+from hil.recording.run_directory import RunDirectory
 from hil.report import render_report
 from hil.report.text import summary_lines
 from hil.spec.load import load_spec

@@ -16,7 +16,7 @@ from hil.arms.payload import Payload
 from hil.core.errors import PreflightFailed
 from hil.planning.plan import Plan, Step
 from hil.recording.recorder import Recorder
-from hil.recording.rundir import RunDirectory
+from hil.recording.run_directory import RunDirectory
 from hil.robot import Capabilities
 from hil.workflow.run_report import RunReport
 from hil.workflow.weighed_before import is_whole, weighed_before

@@ -28,8 +28,7 @@ from hil.core.errors import DataError, RegistryError, SpecError
 from hil.core.live_lock import hold_run
 from hil.models.model_registry import Registry
 from hil.models.version import ModelVersion, numbers_in, write_version
-from hil.recording.numbering import run_folders
-from hil.recording.rundir import RunDirectory
+from hil.recording.run_directory import RunDirectory, run_folders
 from hil.report import render_report
 from hil.runs import trained_rows
 from hil.runs.removal import leftovers, remove

@@ -15,7 +15,7 @@ import pytest
 from catalogue_runs import settle, write_run
 
 from hil.core.live_lock import hold_run
-from hil.recording.numbering import run_folders
+from hil.recording.run_directory import run_folders
 from hil.runs import view
 from hil.runs.facts import facts_of
 from hil.runs.view import FILE, find_runs

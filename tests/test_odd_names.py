@@ -28,7 +28,7 @@ from hil.core.live_lock import hold_run
 from hil.core.text import json_text, name_read, name_text, quoted, shell_word, utf8_text
 from hil.models.fleet_folder import FleetFolder
 from hil.models.log import damaged
-from hil.recording.rundir import RunDirectory
+from hil.recording.run_directory import RunDirectory
 
 DWELL = Path(__file__).parents[1] / "experiments" / "ci_dwell_12.yaml"
 URDF = Path(__file__).with_name("own_arm.urdf")

@@ -19,7 +19,7 @@ from hil.maintenance.pipeline.measuring import Measuring, run_of
 from hil.models.facts import facts_of
 from hil.planning.experiment import Experiment
 from hil.planning.experiment import load as load_experiment
-from hil.recording.rundir import RunDirectory
+from hil.recording.run_directory import RunDirectory
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from recorded_rows import rows_of, six_axis_topic
 
 from hil.core.errors import RecordingError
 from hil.recording import McapWriter, Recorder, read_topic
-from hil.recording.parts import recordings_in
+from hil.recording.recording_files import recordings_in
 from hil.robot.topic import STATE_TOPIC
 
 CHILD = """
@@ -27,7 +27,7 @@ import mmap, os, struct, sys, time
 from pathlib import Path
 from hil.recording import McapWriter, Recorder
 from hil.robot import STATE_TOPIC, state_topic
-from hil.recording.parts import part_name
+from hil.recording.recording_files import part_name
 
 folder, slow, rotate = Path(sys.argv[1]), float(sys.argv[2]), float(sys.argv[3])
 topic = state_topic(6, 500.0, clock="host", effort_unit="A")

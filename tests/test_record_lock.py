@@ -21,7 +21,7 @@ from other_process import holding_run, other_process
 from hil.core import held_file
 from hil.core.errors import DataError, RecordingError
 from hil.core.live_lock import hold_run, is_live, run_holder
-from hil.recording.rundir import RunDirectory
+from hil.recording.run_directory import RunDirectory
 from hil.runs.listing import run_listings
 from hil.runs.summary import describe_run
 

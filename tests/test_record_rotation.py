@@ -20,7 +20,7 @@ from hil.core.errors import RecordingError
 from hil.core.typing import StructArray
 from hil.recording import Attachment, McapWriter, Recorder, read_info, read_topic
 from hil.recording.disk import DiskThread
-from hil.recording.parts import part_name, recordings_in
+from hil.recording.recording_files import part_name, recordings_in
 from hil.robot.topic import STATE_TOPIC
 
 TOPICS = [six_axis_topic(), raw_topic()]

@@ -19,7 +19,7 @@ from typing import Any
 import pytest
 from recorded_rows import record_state
 
-import hil.recording.numbering as numbering
+import hil.recording.run_directory as run_directory
 from hil.core.errors import DataError, RecordingError
 from hil.recording import RunDirectory
 from hil.runs.listing import run_listings
@@ -84,13 +84,13 @@ def test_a_number_that_another_process_has_just_taken_is_not_given_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert RunDirectory.create(tmp_path, "ur5", "theirs").number == 1
-    look, looks = numbering.run_folders, [0]
+    look, looks = run_directory.run_folders, [0]
 
     def stale_at_first(root: Path) -> list[Path]:
         looks[0] += 1
         return [] if looks[0] == 1 else look(root)
 
-    monkeypatch.setattr(numbering, "run_folders", stale_at_first)
+    monkeypatch.setattr(run_directory, "run_folders", stale_at_first)
     assert RunDirectory.create(tmp_path, "ur5", "ours").number == 2
 
 
@@ -114,7 +114,7 @@ def test_drafts_left_by_crashes_are_removed_by_the_next_run(tmp_path: Path) -> N
 def test_a_claim_of_a_live_process_keeps_its_number_and_its_files(tmp_path: Path) -> None:
     folder = tmp_path / "2026-11-20" / "ur5"
     folder.mkdir(parents=True)
-    with numbering.claimed(tmp_path, folder) as claim:
+    with run_directory.claimed(tmp_path, folder) as claim:
         (claim.draft / "spec.yaml").write_text("hil: 1")
         assert RunDirectory.create(tmp_path, "ur5", "other").number == 2
         assert (claim.draft / "spec.yaml").exists()
@@ -209,14 +209,14 @@ def test_a_run_that_begins_while_another_process_cleans_keeps_its_draft(
 def test_a_draft_of_a_process_that_died_meanwhile_is_not_continued(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    real = numbering.hold
+    real = run_directory.hold
 
     def after_a_crash(path: Path, content: Any) -> Any:
-        monkeypatch.setattr(numbering, "hold", real)
+        monkeypatch.setattr(run_directory, "hold", real)
         subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)], check=False)
         return real(path, content)
 
-    monkeypatch.setattr(numbering, "hold", after_a_crash)
+    monkeypatch.setattr(run_directory, "hold", after_a_crash)
     run = started(tmp_path)
     assert not (run.path / "spec.yaml").exists()
     assert hidden(tmp_path) == []

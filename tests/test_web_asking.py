@@ -25,7 +25,7 @@ from hil.dashboard.app import create_app
 from hil.dashboard.listeners import Listeners
 from hil.dashboard.settings import Settings
 from hil.dashboard.threads import AT_MOST
-from hil.recording.rundir import RunDirectory
+from hil.recording.run_directory import RunDirectory
 from hil.workflow.control_files import waiting
 from hil.workflow.live_state import LIVE_FILE, LiveState, read_live
 from hil.workflow.steering import answer_run, question_of

@@ -31,7 +31,7 @@ from hil.core.throttle import OncePerMinute
 from hil.dashboard.app import create_app
 from hil.dashboard.protocol import LimitedProtocol, Limits
 from hil.dashboard.settings import Settings
-from hil.recording.rundir import RunDirectory
+from hil.recording.run_directory import RunDirectory
 
 HERE = "http://127.0.0.1:8350"
 TOKEN = "correct horse battery staple"

@@ -17,7 +17,7 @@ from live_run import until as wait
 
 import hil
 from hil.models.facts import facts_of
-from hil.recording.rundir import RunDirectory
+from hil.recording.run_directory import RunDirectory
 
 pytestmark = [pytest.mark.wire, pytest.mark.timeout(240)]
 

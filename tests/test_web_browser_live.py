@@ -20,7 +20,7 @@ from browser.looking import until
 from live_run import live_run
 from live_run import until as wait
 
-from hil.recording.rundir import RunDirectory
+from hil.recording.run_directory import RunDirectory
 from hil.workflow.detached import ticks_of
 from hil.workflow.starting import Started
 

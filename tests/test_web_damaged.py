@@ -16,7 +16,7 @@ from web_parts import dashboard, failing, run_in, seen
 
 from hil.cli.app import app
 from hil.core.live_lock import hold_run
-from hil.recording.rundir import RunDirectory
+from hil.recording.run_directory import RunDirectory
 from hil.runs.view import find_runs
 
 DEEP = '{"a": ' * 900 + "1" + "}" * 900

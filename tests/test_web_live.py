@@ -16,7 +16,7 @@ from started_parts import PROMPT, begun
 from hil.dashboard.app import create_app
 from hil.dashboard.settings import Settings
 from hil.recording.events import read_events
-from hil.recording.rundir import RunDirectory
+from hil.recording.run_directory import RunDirectory
 from hil.workflow.live_state import read_live
 
 pytestmark = pytest.mark.wire

@@ -19,7 +19,7 @@ from hil.core.live_lock import hold_run
 from hil.dashboard.app import create_app
 from hil.dashboard.live_facts import LiveRun, header_of
 from hil.dashboard.settings import Settings
-from hil.recording.rundir import RunDirectory
+from hil.recording.run_directory import RunDirectory
 from hil.robot import Capabilities
 from hil.workflow.arm_view import ArmView
 from hil.workflow.live_state import LiveState

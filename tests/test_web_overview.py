@@ -16,7 +16,7 @@ from browser.looking import problems_of, tab_to, until
 from web_parts import dashboard, plain, seen
 
 from hil.core.live_lock import hold_run
-from hil.recording.rundir import RunDirectory
+from hil.recording.run_directory import RunDirectory
 from hil.robot.lease import leased
 
 MANY = 40

@@ -19,7 +19,7 @@ from hil.core.errors import RecordingError
 from hil.dashboard.app import create_app
 from hil.dashboard.once import Once
 from hil.dashboard.settings import Settings
-from hil.recording.rundir import RunDirectory
+from hil.recording.run_directory import RunDirectory
 from hil.workflow.starting import started_runs
 
 PAGE = {"accept": "text/html"}

@@ -125,7 +125,7 @@ def _robots_of(station: Path) -> list[str]:
 
 
 def _run_folders(root: Path) -> list[Path]:
-    # As `hil.recording.numbering` has them; that package takes 0.2 s to import, too long for a Tab.
+    # As in `hil.recording`: that package takes 0.2 s to import, too long for a Tab.
     days = _folders_in(root)
     return [run for day in days for robot in _folders_in(day) for run in _folders_in(robot)]
 

@@ -29,7 +29,7 @@ from hil.core import HilError, PreflightFailed, SpecError, did_you_mean, plugins
 from hil.engine.interlocks import free_bytes
 from hil.excitation import Clearance
 from hil.planning import Plan, collision_model, recording_bytes, why_plan_not_weighed
-from hil.recording import BYTES as RESERVE_BYTES
+from hil.recording import RESERVE_BYTES
 from hil.robot import Finding, HasChecks, Robot, Status
 from hil.spec import StationRobot
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from mcap.opcode import Opcode
 
+from hil.recording.recording_files import PARTIAL_SUFFIX
 from hil.recording.scan import FOOTER_BYTES, MAGIC, RECORD_HEADER
-from hil.recording.writer import PARTIAL_SUFFIX
 
 
 def has_its_end(path: Path) -> bool:

@@ -9,13 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from hil.core import DataError, HilError, RecordingError, hold_run, run_holder
-from hil.recording.parts import recordings_in
+from hil.recording.recording_files import PARTIAL_SUFFIX, TORN_SUFFIX, recordings_in, run_of
 from hil.recording.recovery import recover_file
 from hil.recording.recovery_result import Recovery
-from hil.recording.reserve import release
-from hil.recording.rundir import RunDirectory
-from hil.recording.torn_names import TORN_SUFFIX
-from hil.recording.writer import PARTIAL_SUFFIX
+from hil.recording.run_directory import RunDirectory, release
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +64,7 @@ def recover(source: Path, out: Path | None = None, *, discard: bool = False) -> 
     """
     source = Path(source)
     if not source.is_dir():
-        belongs_to = _run_of(source)
+        belongs_to = run_of(source)
         with _held(belongs_to, writing=out is None) as run:
             one = recover_file(source, out, discard=discard, part=belongs_to is not None)
             _log(run, [one])
@@ -124,13 +121,6 @@ def _inside(folder: Path | None, file: Path) -> Path | None:
             hint="see whether the folder may be written to and the disk has room",
         ) from error
     return folder / file.name.removesuffix(PARTIAL_SUFFIX)
-
-
-def _run_of(file: Path) -> Path | None:
-    """The run a recording belongs to, None for a file that stands by itself."""
-    folder = file.resolve().parent
-    is_part = folder.name == "recording" and (folder.parent / "start.json").is_file()
-    return folder.parent if is_part else None
 
 
 @contextlib.contextmanager

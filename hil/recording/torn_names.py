@@ -15,12 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
-from hil.core import DataError, RecordingError, fsync_directory, sha256_of
-from hil.recording.reader import read_info
-from hil.recording.tally import RECOVERED_METADATA
-from hil.recording.writer import PARTIAL_SUFFIX
-
-TORN_SUFFIX = ".torn"
+from hil.core import DataError, RecordingError, fsync_directory
+from hil.recording.recording_files import PARTIAL_SUFFIX, TORN_SUFFIX
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,20 +74,6 @@ def _lock(file: IO[bytes], path: Path) -> None:
         pass  # a file system without locks
 
 
-def in_hand(path: Path) -> bool:
-    """Whether a recording is being written, or given its final name, at this moment."""
-    if not path.name.endswith(PARTIAL_SUFFIX):
-        return False
-    try:
-        with path.open("rb") as file:
-            fcntl.flock(file.fileno(), fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except (BlockingIOError, FileNotFoundError):
-        return True
-    except OSError:
-        pass  # a file system without locks
-    return False
-
-
 def _busy(path: Path) -> DataError:
     return DataError(
         f"{path} is not torn: it is being written, or recovered, at this moment",
@@ -136,25 +118,6 @@ def require_room(names: Names) -> None:
         f"{kept} exists already, and a torn file is never replaced",
         hint="move it away, or give another name: -o FILE",
     )
-
-
-def lives_on(torn: Path, digest: object) -> bool:
-    """Whether a torn recording that is gone was recovered: set aside, renamed or made whole.
-
-    Args:
-        torn: Where it was.
-        digest: Its SHA-256 then.
-    """
-    if not torn.name.endswith(PARTIAL_SUFFIX):
-        return False
-    final = torn.with_name(torn.name.removesuffix(PARTIAL_SUFFIX))
-    aside = final.with_name(final.name + TORN_SUFFIX)
-    if any(path.is_file() and sha256_of(path) == digest for path in (aside, final)):
-        return True
-    with contextlib.suppress(DataError):
-        told = read_info(final).metadata.get(RECOVERED_METADATA, {})
-        return not aside.exists() and told.get("from_sha256") == digest
-    return False
 
 
 def remove_drafts(final: Path) -> None:

@@ -26,6 +26,7 @@ from hil.recording.joint_state import (
     JointStateView,
 )
 from hil.recording.log_message import EVENT_SCHEMA, EVENT_TEXT, EVENT_TOPIC, encode_event
+from hil.recording.recording_files import PARTIAL_SUFFIX
 from hil.recording.stream import McapStream
 from hil.robot import CDR_HEADER, STATE_TOPIC, Topic
 
@@ -33,7 +34,6 @@ FILE_FORMAT_VERSION = 1
 """Version of what is around the topics: metadata, attachments, clocks. See decision 0002."""
 
 FILE_METADATA = "hil"
-PARTIAL_SUFFIX = ".partial"
 
 
 class Attachment(NamedTuple):

@@ -24,7 +24,7 @@ from hil.core.errors import DataError
 from hil.planning.plan import Plan
 from hil.planning.robots import open_robot, plan_for
 from hil.recording.reader import read_topic
-from hil.recording.rundir import RunDirectory
+from hil.recording.run_directory import RunDirectory
 
 ENDS_WITHIN_S = 90.0
 TRIES = 3

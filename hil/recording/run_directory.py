@@ -14,14 +14,24 @@
       pruned.json     recordings that were deleted; only where some were
 
 An attempt without stop document means *interrupted*. No file but a view is ever rewritten.
+
+Numbers are unique below a runs folder, also when processes create runs at once: a number belongs to
+the process that holds `ROOT/.claim-NNNN`, and the run is prepared in a hidden folder beside its
+final name, which it gets by one rename when everything that it begins with is on the disk.
+
+A run keeps 1 MiB of the disk in reserve (`.reserve`) until its stop document is written: a full
+disk must not keep a run from saying how it ended.
 """
 
 from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
+import os
 import re
-from collections.abc import Callable, Mapping
+import shutil
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -29,28 +39,41 @@ from typing import Any, Literal, get_args
 
 from hil.core import (
     DataError,
+    HeldFile,
     RecordingError,
+    fsync_directory,
+    hold,
+    holder_of,
     json_document,
     read_json,
     require_known_version,
     sha256_of,
+    this_process,
     write_once,
 )
 from hil.recording.events import EventLog, foreign_lines, read_events
-from hil.recording.numbering import claimed, name_for_path, number_of
-from hil.recording.parts import attempt_of, name_of_attempt, part_name, recordings_in
 from hil.recording.provenance import utc_now
-from hil.recording.reserve import release, reserve
-from hil.recording.torn_names import in_hand, lives_on
+from hil.recording.reader import read_info
+from hil.recording.recording_files import (
+    PARTIAL_SUFFIX,
+    TORN_SUFFIX,
+    attempt_of,
+    part_name,
+    recordings_in,
+)
+from hil.recording.tally import RECOVERED_METADATA
 
 RUN_FORMAT_VERSION = 1
 
 Outcome = Literal["completed", "stopped", "tripped", "failed"]
 RunStatus = Literal["completed", "stopped", "tripped", "failed", "interrupted"]
-
 _OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
+
 PRUNED = "pruned.json"
-"""Says which recordings a policy has deleted, when and whose it was."""
+"""File that says which recordings a policy has deleted, when, and who asked for it."""
+
+RESERVE = ".reserve"
+RESERVE_BYTES = 1 << 20
 
 _EVENTS = "events.jsonl"
 _REPORT = Path("report.html")
@@ -58,8 +81,9 @@ _VERDICT = "verdict.json"
 _STUDIES = "study"
 _RESUME = re.compile(r"resume-(\d\d+)\.json").fullmatch
 
-
-FULL = (errno.ENOSPC, errno.EDQUOT)
+_DISK_IS_FULL = (errno.ENOSPC, errno.EDQUOT)
+_CLAIM, _DRAFT = ".claim-", ".draft-"
+_NUMBERED = re.compile(r"(\d{4,})-.+", re.DOTALL)
 
 
 @dataclass(frozen=True)
@@ -88,7 +112,7 @@ class RunDirectory:
         Args:
             runs_root: The folder of all runs; made when missing.
             robot: Name of the robot in the station.
-            name: What people shall call the run.
+            name: Name of the run for people.
             begin: Writes the documents that the run begins with, `start.json` above all, into the
                 directory, which has another name until then.
 
@@ -111,7 +135,7 @@ class RunDirectory:
         except OSError as error:
             raise RecordingError(
                 f"cannot create a run directory in {folder}: {error.strerror or error}",
-                hint=("free the disk, or " if error.errno in FULL else "")
+                hint=("free the disk, or " if error.errno in _DISK_IS_FULL else "")
                 + "choose another place with --runs DIR",
             ) from error
         return cls(path)
@@ -134,7 +158,7 @@ class RunDirectory:
 
     @property
     def number(self) -> int:
-        """The running number, 0 when somebody has renamed the directory."""
+        """The running number, 0 if the directory has been renamed."""
         return number_of(self.path)
 
     @property
@@ -144,7 +168,7 @@ class RunDirectory:
 
     @property
     def attempts(self) -> int:
-        """How many attempts have begun: 1, and one more for every resumption."""
+        """Number of attempts that have begun: 1, and one more for every resumption."""
         resumed = [int(m[1]) for p in self.path.glob("resume-*.json") if (m := _RESUME(p.name))]
         return 1 + max(resumed, default=0)
 
@@ -158,7 +182,7 @@ class RunDirectory:
         return self.stop_of(self.attempts - 1)
 
     def stop_of(self, attempt: int) -> dict[str, Any] | None:
-        """The stop document of one attempt, None if there is none. Raises `DataError`."""
+        """Return the stop document of one attempt, None if there is none. Raises `DataError`."""
         path = self.path / name_of_attempt("stop.json", attempt)
         return read_json(path) if path.exists() else None
 
@@ -178,7 +202,7 @@ class RunDirectory:
 
     @property
     def is_judged(self) -> bool:
-        """Whether there is a verdict: it is about all that the run was to record."""
+        """Whether there is a verdict: the run has recorded all that it was to record."""
         return (self.path / _VERDICT).is_file()
 
     @property
@@ -187,7 +211,7 @@ class RunDirectory:
         return self.is_judged and (self.path / _REPORT).is_file()
 
     def write_verdict(self, document: Mapping[str, Any]) -> None:
-        """Store the verdict; a report from before it goes, so that one that is there shows it.
+        """Store the verdict and delete an older report, so that a report always shows the verdict.
 
         Raises:
             RecordingError: There is a verdict already, or the disk refuses.
@@ -204,22 +228,22 @@ class RunDirectory:
 
     @property
     def events_path(self) -> Path:
-        """Where the event log is."""
+        """Path of the event log."""
         return self.path / _EVENTS
 
     def next_attempt(self) -> int:
-        """The number that an attempt which begins now gets: no file of an older one has it."""
+        """Return the number for an attempt that begins now: no file of an older one has it."""
         recorded = [attempt_of(path) + 1 for path in self.recordings]
         begun = self.attempts if (self.path / "start.json").exists() else 0
         return max([begun, *recorded])
 
     def next_recording(self) -> Path:
-        """The path of the next attempt's recording."""
+        """Return the path of the next attempt's recording."""
         recorded = [attempt_of(path) for path in self.recordings]
         return self.part_path(max(recorded, default=-1) + 1)
 
     def part_path(self, attempt: int, part: int = 0) -> Path:
-        """Where a part of an attempt's recording belongs; part 0 is its beginning."""
+        """Return the path of a part of an attempt's recording; part 0 is its beginning."""
         return self.path / "recording" / part_name(attempt, part)
 
     def event_log(self) -> EventLog:
@@ -227,7 +251,7 @@ class RunDirectory:
         return EventLog(self.events_path)
 
     def events(self) -> list[dict[str, Any]]:
-        """The events logged so far."""
+        """Return the events logged so far."""
         return read_events(self.events_path)
 
     def write_text(self, name: str, text: str) -> None:
@@ -280,10 +304,10 @@ class RunDirectory:
         )
 
     def verify(self) -> list[str]:
-        """What differs from the checksums of the newest stop document, one line per file.
+        """Return what differs from the checksums of the newest stop document, one line per file.
 
-        The event log may have grown since: what it held then must be there still, and what came
-        must be events. Recordings that were deleted on purpose (`pruned.json`) are not missed.
+        The event log may have grown since: what it held then must be there still, and what was
+        added must be events. Recordings deleted on purpose (`pruned.json`) are not missed.
         """
         ends = (self.stop_of(attempt) for attempt in reversed(range(self.attempts)))
         stop = next((end for end in ends if end is not None), {})
@@ -304,11 +328,11 @@ class RunDirectory:
     def pruned(self) -> frozenset[str]:
         """Names of recordings that were deleted on purpose. Raises `DataError` when damaged."""
         note = self.path / PRUNED
-        told = read_json(note).get("bytes") if note.exists() else None
-        return frozenset(told if isinstance(told, dict) else ())
+        deleted = read_json(note).get("bytes") if note.exists() else None
+        return frozenset(deleted if isinstance(deleted, dict) else ())
 
     def foreign_events(self) -> list[str]:
-        """What in the event log nobody of ours wrote, in words; nothing where all is well."""
+        """Return a problem if the event log has lines that are no events; else nothing."""
         lines = foreign_lines(self.events_path)
         held = "1 line that is no event" if lines == 1 else f"{lines} lines that are no events"
         return [f"{_EVENTS} holds {held}: something else wrote into it"] if lines else []
@@ -323,7 +347,7 @@ class RunDirectory:
             if name != _REPORT
             and name.parts[0] != _STUDIES
             and not any(part.startswith(".") for part in name.parts)
-            and not in_hand(path)  # of a recorder that could not end: it changes still
+            and not _is_being_written(path)  # by a recorder that could not end: it changes still
         }
         try:
             sums = {name.as_posix(): sha256_of(path) for name, path in kept.items()}
@@ -336,8 +360,184 @@ class RunDirectory:
             ) from error
 
 
+def name_of_attempt(name: str, attempt: int) -> str:
+    """Return `stop.json` for the first attempt, `stop-01.json`, … for those after it."""
+    path = Path(name)
+    return f"{path.stem}-{attempt:02d}{path.suffix}" if attempt else name
+
+
+def number_of(run: Path) -> int:
+    """Return the number in a run directory's name, 0 if it has been renamed."""
+    match = _NUMBERED.fullmatch(run.name)
+    return int(match[1]) if match else 0
+
+
+def name_for_path(name: str) -> str:
+    """Return a name as a folder: lower case, no separators, never empty or hidden."""
+    return re.sub(r"[^a-z0-9._]+", "-", name.lower()).strip("-.") or "run"
+
+
+def run_folders(runs_root: Path) -> list[Path]:
+    """Return every folder where a run may be, `DAY/ROBOT/RUN`; a vanished one is left out."""
+    days = folders_in(Path(runs_root))
+    return [run for day in days for robot in folders_in(day) for run in folders_in(robot)]
+
+
+def folders_in(parent: Path) -> list[Path]:
+    """Return the folders in a folder, by name, without hidden ones; none if it is unreadable."""
+    try:
+        with os.scandir(parent) as entries:
+            found = [entry for entry in entries if entry.is_dir()]
+    except OSError:
+        return []
+    return sorted(Path(entry) for entry in found if not entry.name.startswith("."))
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """A number that only this process may use, with a hidden folder in which the run is prepared.
+
+    The number belongs to the process that holds the file `ROOT/.claim-NNNN`. Only that process
+    makes, renames or removes a folder `.draft-NNNN`. A draft lies in the folder of its run, so that
+    its rename stays on one file system.
+
+    Attributes:
+        number: Run number, unique under `ROOT`.
+        draft: Hidden folder in which the run is prepared.
+    """
+
+    number: int
+    draft: Path
+
+    def become(self, run: Path) -> None:
+        """Rename the draft to the run directory, which lies beside it. Raises `OSError`."""
+        fsync_directory(self.draft)
+        self.draft.rename(run)
+        fsync_directory(run.parent)
+
+
+@contextlib.contextmanager
+def claimed(root: Path, folder: Path) -> Iterator[Claim]:
+    """Hold the next free number under `root`, with a draft in `folder` (`ROOT/DAY/ROBOT`).
+
+    Drafts of processes that died are removed before, and this draft afterwards, unless it has
+    become a run.
+
+    Raises:
+        OSError: One of the folders cannot be written to.
+    """
+    _remove_abandoned(root)
+    lock, claim = _hold_number(root, folder)
+    with lock:
+        try:
+            yield claim
+        finally:
+            shutil.rmtree(claim.draft, ignore_errors=True)
+
+
+def _hold_number(root: Path, folder: Path) -> tuple[HeldFile, Claim]:
+    number = max((number_of(run) for run in run_folders(root)), default=0)
+    while True:
+        number += 1
+        path = root / f"{_CLAIM}{number:04d}"
+        try:
+            lock = hold(path, this_process())
+        except PermissionError:
+            if not path.exists():
+                raise
+            continue  # the claim of another user
+        if not isinstance(lock, HeldFile):
+            continue
+        with contextlib.ExitStack() as release:
+            release.enter_context(lock)
+            # Looked for only now: until the number was held, another process could make it a run.
+            if any(number_of(run) == number for run in run_folders(root)):
+                continue
+            _remove_drafts(root, path)
+            draft = folder / _draft_of(path)
+            try:
+                draft.mkdir()
+            except FileExistsError:
+                continue  # a draft of another user that died, and that only its owner may remove
+            release.pop_all()
+            return lock, Claim(number, draft)
+
+
+def _remove_abandoned(root: Path) -> None:
+    """Remove the claims and the drafts of processes that died while they prepared a run."""
+    for path in root.glob(f"{_CLAIM}*"):
+        if holder_of(path) is not None:
+            continue
+        with contextlib.suppress(OSError):
+            lock = hold(path, this_process())
+            if isinstance(lock, HeldFile):
+                with lock:
+                    _remove_drafts(root, path)
+
+
+def _remove_drafts(root: Path, claim: Path) -> None:
+    """Remove every draft of a number; the caller holds its claim."""
+    for day in folders_in(root):
+        for robot in folders_in(day):
+            shutil.rmtree(robot / _draft_of(claim), ignore_errors=True)
+
+
+def _draft_of(claim: Path) -> str:
+    return _DRAFT + claim.name.removeprefix(_CLAIM)
+
+
+def reserve(run: Path) -> None:
+    """Take 1 MiB of the disk for a run, to be released for its stop document.
+
+    Raises:
+        OSError: There is not even that much left.
+    """
+    descriptor = os.open(run / RESERVE, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    try:
+        # What no file system compresses or leaves out. Of a nearly full disk a part is taken first.
+        if os.write(descriptor, os.urandom(RESERVE_BYTES)) < RESERVE_BYTES:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def release(run: Path) -> None:
+    """Release what `reserve` took. Idempotent."""
+    with contextlib.suppress(OSError):
+        (run / RESERVE).unlink()
+
+
 def _changed(path: Path, name: str, digest: object, length: object) -> str:
     if not path.is_file():
-        return "" if lives_on(path, digest) else f"{name} is missing"
+        return "" if _lives_on(path, digest) else f"{name} is missing"
     known = length if isinstance(length, int) else None
     return "" if sha256_of(path, known) == digest else f"{name} has changed since the run ended"
+
+
+def _lives_on(torn: Path, digest: object) -> bool:
+    """Return whether a torn recording that is gone was recovered: set aside, renamed or rebuilt."""
+    if not torn.name.endswith(PARTIAL_SUFFIX):
+        return False
+    final = torn.with_name(torn.name.removesuffix(PARTIAL_SUFFIX))
+    aside = final.with_name(final.name + TORN_SUFFIX)
+    if any(path.is_file() and sha256_of(path) == digest for path in (aside, final)):
+        return True
+    with contextlib.suppress(DataError):
+        recovered = read_info(final).metadata.get(RECOVERED_METADATA, {})
+        return not aside.exists() and recovered.get("from_sha256") == digest
+    return False
+
+
+def _is_being_written(path: Path) -> bool:
+    """Return whether a recording is being written, or given its final name, at this moment."""
+    if not path.name.endswith(PARTIAL_SUFFIX):
+        return False
+    try:
+        with path.open("rb") as file:
+            fcntl.flock(file.fileno(), fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except (BlockingIOError, FileNotFoundError):
+        return True
+    except OSError:
+        pass  # a file system without locks
+    return False
