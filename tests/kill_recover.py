@@ -18,7 +18,7 @@ from typing import Any
 from mcap.writer import Writer
 
 from hil.core.errors import HilError
-from hil.recording.reader import read_topic
+from hil.recording.mcap_reader import read_topic
 from hil.recording.recovery import recover_file
 
 STEPS = ("open", "os.rename", "os.link", "os.remove")

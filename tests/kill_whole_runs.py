@@ -266,7 +266,7 @@ def listed(folder: Path) -> list[dict[str, Any]]:
 def rows_on_disk(run: Path) -> dict[int, bytes]:
     """Return the rows of each attempt that can be read from the disk at this moment."""
     from hil.core.errors import DataError
-    from hil.recording.reader import read_topic
+    from hil.recording.mcap_reader import read_topic
     from hil.recording.recording_files import attempt_of
     from hil.recording.run_directory import RunDirectory
 

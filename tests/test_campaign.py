@@ -13,7 +13,7 @@ import hil
 from hil.core.errors import DataError
 from hil.evaluation.holdout import hold_out
 from hil.importers.load import load_source
-from hil.recording.reader import read_topic
+from hil.recording.mcap_reader import read_topic
 from hil.recording.run_directory import RunDirectory
 from hil.spec.experiment import HoldOut
 from hil.workflow.run_report import RunReport

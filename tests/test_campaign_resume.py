@@ -25,7 +25,7 @@ from hil.importers import completeness
 from hil.importers.completeness import completeness_of
 from hil.importers.load import load_source
 from hil.planning.plan import Plan
-from hil.recording.reader import read_topic
+from hil.recording.mcap_reader import read_topic
 from hil.recording.recorder import Recorder
 from hil.recording.run_directory import RunDirectory
 from hil.workflow import operator, resuming

@@ -27,7 +27,7 @@ from in_time import InTime, Took, measured_again
 from hil.arms.payload import Payload
 from hil.core.errors import HilError, RobotConnectionError, RobotFault
 from hil.core.typing import StructArray
-from hil.recording.reader import read_topic
+from hil.recording.mcap_reader import read_topic
 from hil.robot import Robot, Status
 from hil.testing.moves import begin, follow, move, settle
 from hil_drivers.cia402.__main__ import main

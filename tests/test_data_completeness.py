@@ -20,7 +20,7 @@ from hil.importers.completeness import (
     step_is_complete,
 )
 from hil.planning.plan import DwellRule, Plan, Step
-from hil.recording.writer import McapWriter
+from hil.recording.mcap_writer import McapWriter
 from hil.robot.state import Status, state_dtype
 from hil.robot.topic import STATE_TOPIC, state_topic
 

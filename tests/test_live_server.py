@@ -24,7 +24,7 @@ from hil.core.errors import DataError, PluginError
 from hil.core.typing import StructArray
 from hil.engine import live_view as server_module
 from hil.engine.live_view import FoxgloveLive, is_loopback
-from hil.recording.reader import read_topic
+from hil.recording.mcap_reader import read_topic
 from hil.recording.run_directory import RunDirectory
 from hil.robot import Capabilities, Status, state_dtype
 from hil.robot.topic import STATE_TOPIC

@@ -22,7 +22,7 @@ from hil.planning.plan import LoadStep, Plan, Step
 from hil.planning.plan_file import read_plan
 from hil.planning.plan_preview import preview
 from hil.planning.swept_space import swept
-from hil.recording.reader import read_topic
+from hil.recording.mcap_reader import read_topic
 
 RATE_HZ = 125.0
 

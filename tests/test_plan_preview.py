@@ -14,7 +14,7 @@ from hil.arms.payload import Payload
 from hil.excitation.motion import Hold, Line
 from hil.planning.plan import DwellRule, LoadStep, Plan, Step
 from hil.planning.plan_preview import preview
-from hil.recording.writer import McapWriter
+from hil.recording.mcap_writer import McapWriter
 from hil.report.plan_figure import plan_picture
 from hil.report.svg import Scale, thinned
 from hil.robot.topic import state_topic

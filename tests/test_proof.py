@@ -16,7 +16,7 @@ import pytest
 import hil
 from hil.cli import benchmarking
 from hil.importers.load import load_source
-from hil.recording.reader import read_topic
+from hil.recording.mcap_reader import read_topic
 
 pytestmark = pytest.mark.proof
 

@@ -12,8 +12,8 @@ from typer.testing import CliRunner
 from hil.cli.app import app
 from hil.core.errors import DataError
 from hil.recording import Attachment, McapWriter, RunDirectory, read_info, read_topic
+from hil.recording.mcap_records import ChunkSpan, scan
 from hil.recording.recover_run import recover
-from hil.recording.scan import ChunkSpan, scan
 from hil.robot.topic import STATE_TOPIC
 
 TOPIC = six_axis_topic()

@@ -20,8 +20,8 @@ from recorded_rows import raw_topic, rows_of
 from hil.core.errors import DataError, HilError
 from hil.core.typing import StructArray
 from hil.recording import Attachment, McapWriter, read_info, read_topic
+from hil.recording.mcap_records import scan
 from hil.recording.recovery import recover_file
-from hil.recording.scan import scan
 from hil.robot.cdr import CDR_HEADER
 
 TOPIC = raw_topic()

@@ -77,7 +77,7 @@ def test_cut_between_a_chunk_and_its_index_loses_nothing(
     path = tmp_path / "00.mcap"
     path.write_bytes(content)
     with path.open("rb") as file:
-        from hil.recording.scan import scan
+        from hil.recording.mcap_records import scan
 
         third = scan(file, path).chunks[2]
     path.write_bytes(content[: third.offset + third.length])
@@ -106,7 +106,7 @@ def test_flipped_bits_in_a_chunk_are_found_and_the_other_chunks_saved(
     path = tmp_path / "00.mcap"
     path.write_bytes(content)
     with path.open("rb") as file:
-        from hil.recording.scan import scan
+        from hil.recording.mcap_records import scan
 
         third = scan(file, path).chunks[2]
     damaged = bytearray(content)

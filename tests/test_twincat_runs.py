@@ -13,7 +13,7 @@ import pytest
 import yaml
 from plc_mock import mock_plc
 
-from hil.recording.reader import read_topic
+from hil.recording.mcap_reader import read_topic
 from hil_drivers.twincat.rows import TOPIC
 
 pytestmark = [pytest.mark.wire, pytest.mark.timeout(240)]

@@ -12,7 +12,7 @@ import pytest
 import yaml
 from ur_mock import mock_ur
 
-from hil.recording.reader import read_topic
+from hil.recording.mcap_reader import read_topic
 from hil_drivers.ur.rows import TOPIC
 
 pytestmark = [pytest.mark.wire, pytest.mark.timeout(400)]

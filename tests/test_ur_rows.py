@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hil.core.errors import SpecError
-from hil.recording.writer import require_rows_of
+from hil.recording.mcap_writer import require_rows_of
 from hil.robot import Status, state_dtype
 from hil_drivers.ur.fields import FIELDS, names_for
 from hil_drivers.ur.rows import (

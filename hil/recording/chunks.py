@@ -14,7 +14,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Schema
 
 from hil.core import BoolArray, IntArray, StructArray
-from hil.recording.scan import RECORD_HEADER, ChunkSpan, Torn, parse
+from hil.recording.mcap_records import RECORD_HEADER, ChunkSpan, Torn, parse
 from hil.robot import CDR_HEADER
 
 _LARGEST_CHUNK_BYTES = 1 << 28

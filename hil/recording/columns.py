@@ -16,8 +16,8 @@ from mcap.records import Channel
 
 from hil.core import BoolArray, DataError, IntArray, StructArray
 from hil.recording.chunks import rows_at
+from hil.recording.mcap_records import Torn
 from hil.recording.recording import Recording
-from hil.recording.scan import Torn
 
 _BATCH_BYTES = 1 << 20
 _HINT = "hil recover {} makes a whole file of what is left; read_topic(…, salvage=True) reads it"

@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Literal
 
-from hil.recording.writer import McapWriter
+from hil.recording.mcap_writer import McapWriter
 
 _LONGEST_WAIT_S = 1.0
 

@@ -11,8 +11,8 @@ from typing import IO
 
 from mcap.opcode import Opcode
 
+from hil.recording.mcap_records import RECORD_HEADER, Layout
 from hil.recording.rebuild import Salvage
-from hil.recording.scan import RECORD_HEADER, Layout
 
 _CHUNK_HEAD = struct.Struct("<QQQII")
 _LENGTH = struct.Struct("<Q")

@@ -7,14 +7,14 @@ from pathlib import Path
 
 from mcap.opcode import Opcode
 
+from hil.recording.mcap_records import FOOTER_BYTES, MAGIC, RECORD_HEADER
 from hil.recording.recording_files import PARTIAL_SUFFIX
-from hil.recording.scan import FOOTER_BYTES, MAGIC, RECORD_HEADER
 
 
 def has_its_end(path: Path) -> bool:
     """Whether a file begins and ends as an MCAP file does; False for one that cannot be read.
 
-    What is between is for `hil.recording.scan.scan` to see.
+    What is between is for `hil.recording.mcap_records.scan` to see.
     """
     end = RECORD_HEADER.size + FOOTER_BYTES + len(MAGIC)
     try:

@@ -8,7 +8,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.recording.scan import INDEX_ENTRY_BYTES, INDEX_HEADER
+from hil.recording.mcap_records import INDEX_ENTRY_BYTES, INDEX_HEADER
 
 
 class IndexCheck:

@@ -19,8 +19,7 @@ from mcap.writer import Writer
 
 from hil.recording.chunks import read_chunk, records_in
 from hil.recording.index_check import IndexCheck
-from hil.recording.routes import Routes
-from hil.recording.scan import (
+from hil.recording.mcap_records import (
     RECORD_HEADER,
     ChunkSpan,
     Layout,
@@ -29,6 +28,7 @@ from hil.recording.scan import (
     read_explanation,
     whole_records,
 )
+from hil.recording.routes import Routes
 from hil.recording.tally import RECOVERED_METADATA, Tally
 
 _CHUNK_BYTES = 1024 * 1024

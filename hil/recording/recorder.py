@@ -24,7 +24,7 @@ import numpy as np
 from hil.core import RecordingError, StructArray
 from hil.recording.continuity import Counts
 from hil.recording.disk import DiskThread, NextPart
-from hil.recording.writer import McapWriter, require_rows_of
+from hil.recording.mcap_writer import McapWriter, require_rows_of
 
 
 class _Block(NamedTuple):

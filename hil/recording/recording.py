@@ -12,9 +12,9 @@ from mcap.records import Channel
 
 from hil.core import BoolArray, DataError, IntArray, require_known_version
 from hil.recording.chunks import indexed_offsets, read_chunk, walk
+from hil.recording.mcap_records import RECORD_HEADER, Torn, scan
+from hil.recording.mcap_writer import FILE_FORMAT_VERSION, FILE_METADATA
 from hil.recording.recording_files import hint_of_lost
-from hil.recording.scan import RECORD_HEADER, Torn, scan
-from hil.recording.writer import FILE_FORMAT_VERSION, FILE_METADATA
 from hil.robot import STATE_SCHEMA_VERSION, STATE_TOPIC, dtype_of_schema
 
 _KNOWN_VERSIONS = {STATE_TOPIC: STATE_SCHEMA_VERSION}

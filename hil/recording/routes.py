@@ -13,7 +13,7 @@ from mcap.records import Channel, Schema
 from mcap.writer import Writer
 
 from hil.core import DataError
-from hil.recording.scan import Layout
+from hil.recording.mcap_records import Layout
 from hil.recording.tally import Definition, Kept, Tally
 
 _MOST_CHANNELS = 65535

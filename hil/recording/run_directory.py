@@ -52,8 +52,8 @@ from hil.core import (
     write_once,
 )
 from hil.recording.events import EventLog, foreign_lines, read_events
+from hil.recording.mcap_reader import read_info
 from hil.recording.provenance import utc_now
-from hil.recording.reader import read_info
 from hil.recording.recording_files import (
     PARTIAL_SUFFIX,
     TORN_SUFFIX,

@@ -10,9 +10,9 @@ import numpy as np
 
 from hil.core import DataError, FloatArray
 from hil.recording.chunks import rows_at
+from hil.recording.mcap_records import Torn
 from hil.recording.recording import Recording
 from hil.recording.recording_files import attempt_of
-from hil.recording.scan import Torn
 from hil.robot import STATE_TOPIC
 
 

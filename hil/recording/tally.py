@@ -21,7 +21,7 @@ from mcap.records import Channel, Chunk, Message, Schema
 from mcap.stream_reader import breakup_chunk
 
 from hil.core import RecordingError
-from hil.recording.scan import RECORD_HEADER
+from hil.recording.mcap_records import RECORD_HEADER
 
 if TYPE_CHECKING:
     from hashlib import _Hash

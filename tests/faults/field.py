@@ -19,7 +19,7 @@ import hil
 from hil.core.errors import DataError
 from hil.planning.plan import Plan
 from hil.planning.robots import open_robot, plan_for
-from hil.recording.reader import read_topic
+from hil.recording.mcap_reader import read_topic
 from hil.recording.run_directory import RunDirectory
 
 HOST = Path(__file__).with_name("host.py")

@@ -25,7 +25,7 @@ from hil.core.errors import HilError, exit_code_of
 from hil.engine import Reply
 from hil.planning.plan_file import read_plan
 from hil.recording import recorder as recorder_module
-from hil.recording.writer import McapWriter
+from hil.recording.mcap_writer import McapWriter
 from hil.workflow import recording, running
 from hil.workflow.desk import Desk
 

@@ -23,7 +23,7 @@ import hil
 from hil.core.errors import DataError
 from hil.planning.plan import Plan
 from hil.planning.robots import open_robot, plan_for
-from hil.recording.reader import read_topic
+from hil.recording.mcap_reader import read_topic
 from hil.recording.run_directory import RunDirectory
 
 ENDS_WITHIN_S = 90.0

@@ -16,8 +16,8 @@ import numpy as np
 
 from hil.core import DataError, StructArray
 from hil.recording.columns import read_rows
+from hil.recording.mcap_writer import Attachment
 from hil.recording.recording import Recording
-from hil.recording.writer import Attachment
 from hil.robot import STATE_TOPIC
 
 

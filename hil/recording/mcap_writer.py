@@ -19,15 +19,15 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 
 from hil.core import IntArray, RecordingError, StructArray, fsync_directory
-from hil.recording.joint_state import (
+from hil.recording.log_message import EVENT_SCHEMA, EVENT_TEXT, EVENT_TOPIC, encode_event
+from hil.recording.recording_files import PARTIAL_SUFFIX
+from hil.recording.stream import McapStream
+from hil.recording.viewer_messages import (
     JOINT_STATE_SCHEMA,
     JOINT_STATE_TEXT,
     JOINT_STATE_TOPIC,
     JointStateView,
 )
-from hil.recording.log_message import EVENT_SCHEMA, EVENT_TEXT, EVENT_TOPIC, encode_event
-from hil.recording.recording_files import PARTIAL_SUFFIX
-from hil.recording.stream import McapStream
 from hil.robot import CDR_HEADER, STATE_TOPIC, Topic
 
 FILE_FORMAT_VERSION = 1
