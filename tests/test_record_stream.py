@@ -15,7 +15,7 @@ from mcap.writer import Writer
 
 from hil.core.typing import StructArray
 from hil.recording import read_info
-from hil.recording.stream import CHUNK_BYTES, McapStream
+from hil.recording.mcap_writer import CHUNK_BYTES, McapStream
 
 DEFINITION = "float64 a\nfloat64[3] b\n"
 METADATA = {"run": {"uid": "u-1", "name": "größe"}}

@@ -17,7 +17,6 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema
 from mcap.writer import Writer
 
-from hil.recording.chunks import read_chunk, records_in
 from hil.recording.index_check import IndexCheck
 from hil.recording.mcap_records import (
     RECORD_HEADER,
@@ -25,11 +24,14 @@ from hil.recording.mcap_records import (
     Layout,
     Torn,
     parse,
+    read_chunk,
     read_explanation,
+    records_in,
     whole_records,
 )
+from hil.recording.mcap_writer import RECOVERED_METADATA
 from hil.recording.routes import Routes
-from hil.recording.tally import RECOVERED_METADATA, Tally
+from hil.recording.tally import Tally
 
 _CHUNK_BYTES = 1024 * 1024
 _MESSAGE = struct.Struct("<HIQQ")

@@ -53,6 +53,7 @@ from hil.core import (
 )
 from hil.recording.events import EventLog, foreign_lines, read_events
 from hil.recording.mcap_reader import read_info
+from hil.recording.mcap_writer import RECOVERED_METADATA
 from hil.recording.provenance import utc_now
 from hil.recording.recording_files import (
     PARTIAL_SUFFIX,
@@ -61,7 +62,6 @@ from hil.recording.recording_files import (
     part_name,
     recordings_in,
 )
-from hil.recording.tally import RECOVERED_METADATA
 
 RUN_FORMAT_VERSION = 1
 
@@ -448,8 +448,8 @@ def _hold_number(root: Path, folder: Path) -> tuple[HeldFile, Claim]:
             continue  # the claim of another user
         if not isinstance(lock, HeldFile):
             continue
-        with contextlib.ExitStack() as release:
-            release.enter_context(lock)
+        with contextlib.ExitStack() as undo:
+            undo.enter_context(lock)
             # Looked for only now: until the number was held, another process could make it a run.
             if any(number_of(run) == number for run in run_folders(root)):
                 continue
@@ -459,7 +459,7 @@ def _hold_number(root: Path, folder: Path) -> tuple[HeldFile, Claim]:
                 draft.mkdir()
             except FileExistsError:
                 continue  # a draft of another user that died, and that only its owner may remove
-            release.pop_all()
+            undo.pop_all()
             return lock, Claim(number, draft)
 
 

@@ -22,12 +22,10 @@ from mcap.stream_reader import breakup_chunk
 
 from hil.core import RecordingError
 from hil.recording.mcap_records import RECORD_HEADER
+from hil.recording.mcap_writer import RECOVERED_METADATA
 
 if TYPE_CHECKING:
     from hashlib import _Hash
-
-RECOVERED_METADATA = "recovered"
-"""Metadata record in which a rebuilt file says what it was rebuilt from; in no tally."""
 
 _TIMES = struct.Struct("<IQQQ")
 

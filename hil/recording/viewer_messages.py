@@ -1,25 +1,29 @@
-"""`sensor_msgs/msg/JointState` for viewers: a decimated copy of the base robot record.
+"""Messages of ROS 2 that every viewer shows: a copy of the robot's state, and events as a log.
 
-Names and frame never change within a file, so every message has the same size and the constant
-parts are written once into a template row; only stamp, position, velocity and effort are filled.
+Written into recordings and sent by the live view. Joint states are a decimated copy of the base
+robot record. Names and frame never change within a file, so every message has the same size and the
+constant parts are written once into a template row; only stamp, position, velocity and effort are
+filled.
+
+Events are `rcl_interfaces/msg/Log`, which log panels show. JSON messages with a `jsonschema` would
+be simpler, but rosbags refuses a whole file that holds one (KeyError on the schema encoding), and a
+`ros2` profile promises CDR. So the event's kind is the logger's name and the event itself is the
+message, as JSON text.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from hil.core import StructArray
+from hil.core import StructArray, json_line
 from hil.robot import CDR_HEADER, cdr_string, n_joints_of
 
 JOINT_STATE_TOPIC = "/joint_states"
 JOINT_STATE_SCHEMA = "sensor_msgs/msg/JointState"
-MAX_RATE_HZ = 60.0
-"""What a screen can show; the full rate is in the base record."""
-
 JOINT_STATE_TEXT = f"""\
 std_msgs/Header header
 string[] name
@@ -36,6 +40,28 @@ int32 sec
 uint32 nanosec
 """
 
+MAX_RATE_HZ = 60.0
+"""What a screen can show; the full rate is in the base record."""
+
+EVENT_TOPIC = "/events"
+EVENT_SCHEMA = "rcl_interfaces/msg/Log"
+EVENT_TEXT = f"""\
+builtin_interfaces/Time stamp
+uint8 level
+string name
+string msg
+string file
+string function
+uint32 line
+{"=" * 80}
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
+
+_INFO = 20
+"""Level of an ordinary event; 10 debug, 30 warning, 40 error."""
+
 
 class JointStateView:
     """Turns blocks of state rows into at most 60 JointState messages a second.
@@ -51,13 +77,13 @@ class JointStateView:
         self._seen = 0
 
     def select(self, rows: StructArray) -> StructArray:
-        """The rows of this block that are shown: every `every`-th, counted across blocks."""
+        """Return the rows of this block that are shown: every `every`-th, counted across blocks."""
         first = -self._seen % self.every
         self._seen += len(rows)
         return rows[first :: self.every]
 
     def encode(self, rows: StructArray) -> StructArray:
-        """One CDR message per state row; the stamp is `host_time` (0 where it is unknown).
+        """Return one CDR message per state row; the stamp is `host_time` (0 where it is unknown).
 
         Raises:
             ValueError: The rows have another number of joints than there are names.
@@ -76,9 +102,10 @@ class JointStateView:
 
 
 def _template(joint_names: tuple[str, ...]) -> StructArray:
-    """A one-row array with everything constant filled in, CDR header included."""
+    """Return a one-row array with everything constant filled in, CDR header included."""
     n = len(joint_names)
-    names = _header_tail_and_names(joint_names)
+    # frame_id and the sequence of names, from byte 8 of the message on, padded to 4 bytes
+    names = cdr_string("") + struct.pack("<I", n) + b"".join(map(cdr_string, joint_names))
     fields: list[Any] = [("cdr", "V4"), ("sec", "<i4"), ("nanosec", "<u4")]
     fields += [("names", f"V{len(names)}")]
     for quantity in ("position", "velocity", "effort"):
@@ -97,9 +124,22 @@ def _template(joint_names: tuple[str, ...]) -> StructArray:
     return template
 
 
-def _header_tail_and_names(joint_names: tuple[str, ...]) -> bytes:
-    """frame_id and the sequence of names, from byte 8 of the message on, padded to 4 bytes."""
-    body = cdr_string("") + struct.pack("<I", len(joint_names))
-    for name in joint_names:
-        body += cdr_string(name)
-    return body
+def encode_event(event: Mapping[str, Any]) -> bytes:
+    """Return the CDR message of one event; it has `t` (Unix time [s]) and `kind`."""
+    return encode_log(float(event["t"]), _INFO, str(event["kind"]), json_line(event))
+
+
+def encode_log(t: float, level: int, name: str, text: str) -> bytes:
+    """Return the CDR message of one log line.
+
+    Args:
+        t: Unix time [s].
+        level: 10 debug, 20 info, 30 warning, 40 error.
+        name: Name of the logger.
+        text: The line.
+    """
+    stamp = max(0.0, t)
+    body = struct.pack("<iIB3x", int(stamp), int(stamp % 1.0 * 1e9), level)
+    for part in (name, text, "", ""):
+        body += cdr_string(part)
+    return CDR_HEADER + body + struct.pack("<I", 0)
