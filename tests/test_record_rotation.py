@@ -19,7 +19,7 @@ from recorded_rows import JOINTS, raw_topic, rows_of, six_axis_topic
 from hil.core.errors import RecordingError
 from hil.core.typing import StructArray
 from hil.recording import Attachment, McapWriter, Recorder, read_info, read_topic
-from hil.recording.disk import DiskThread
+from hil.recording.recorder import DiskThread
 from hil.recording.recording_files import part_name, recordings_in
 from hil.robot.topic import STATE_TOPIC
 

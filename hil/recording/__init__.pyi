@@ -1,4 +1,3 @@
-from .continuity import Counts as Counts
 from .events import EventLog as EventLog
 from .events import read_events as read_events
 from .mcap_reader import RecordingInfo as RecordingInfo
@@ -17,6 +16,7 @@ from .provenance import package_versions as package_versions
 from .provenance import source_revision as source_revision
 from .provenance import started_as as started_as
 from .provenance import utc_now as utc_now
+from .recorder import Counts as Counts
 from .recorder import Recorder as Recorder
 from .recording_files import PARTIAL_SUFFIX as PARTIAL_SUFFIX
 from .recording_files import attempt_of as attempt_of

@@ -1,13 +1,19 @@
 """The recorder thread: the control thread hands over blocks and never touches a disk.
 
-Durability. Every `flush_interval_s` (0.1 s) of wall time the thread writes what has come in into
-the kernel, so that killing the process loses at most that much plus one write, however slow the
-disk is: a thread beside it (`hil.recording.disk`) waits for the disk. That one calls `fsync` every
-`fsync_interval_s`, so that a power loss loses at most that much plus the time the disk takes;
-set it higher on slow media, or to infinity where only kills are feared.
+Two threads, because a disk may take half a second for one fsync. The recorder thread only writes
+into the kernel, which is what a kill cannot undo; everything that has to wait for the disk is done
+by the disk thread beside it: fsync, opening the next part, finishing the last one.
+
+Durability. Every `flush_interval_s` (0.1 s) of wall time the recorder thread writes what has come
+in into the kernel, so that killing the process loses at most that much plus one write, however slow
+the disk is. The disk thread calls `fsync` every `fsync_interval_s`, so that a power loss loses at
+most that much plus the time the disk takes; set it higher on slow media, or to infinity where only
+kills are feared.
 
 Rotation. A part that has reached `rotate_bytes` is followed by the next one, which is open by
 then; the old one is finished beside. No row is in both or in neither, and the counts go on.
+
+Continuity. Gaps, duplicates and overruns are counted while recording, by the device clock.
 """
 
 from __future__ import annotations
@@ -15,24 +21,69 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from types import MappingProxyType, TracebackType
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from hil.core import RecordingError, StructArray
-from hil.recording.continuity import Counts
-from hil.recording.disk import DiskThread, NextPart
 from hil.recording.mcap_writer import McapWriter, require_rows_of
 
+NextPart = Callable[[int], McapWriter]
+"""Opens a part of the recording by its number: 1 is the one after the first."""
 
-class _Block(NamedTuple):
-    """Rows that wait to be written, and when they were handed over [s, monotonic clock]."""
+_GAP_PERIODS = 1.5
+_DUPLICATE_PERIODS = 0.1
+_LONGEST_WAIT_S = 1.0
 
-    topic: str
-    content: bytes
-    since: float
+
+@dataclass(frozen=True, slots=True)
+class Counts:
+    """Continuity of one topic's samples, with T = 1/rate.
+
+    Attributes:
+        samples: Rows recorded.
+        gaps: Device time advanced by more than 1.5 T: at least one sample is missing.
+        missing: Samples that the gaps swallowed, rounded.
+        duplicates: Device time advanced by less than 0.1 T, stood still or went back.
+        overruns: Nothing is missing, but the host received the sample more than 1.5 T after
+            the one before: the loop that reads could not keep up.
+        first_time: Device time of the first sample [s], NaN before it.
+        last_time: Device time of the last sample [s].
+        last_host_time: Host time of the last sample [s].
+    """
+
+    samples: int = 0
+    gaps: int = 0
+    missing: int = 0
+    duplicates: int = 0
+    overruns: int = 0
+    first_time: float = float("nan")
+    last_time: float = float("nan")
+    last_host_time: float = float("nan")
+
+    def after(self, rows: StructArray, rate_hz: float) -> Counts:
+        """Return the counts after `rows` (any record with `device_time`, `host_time`)."""
+        if not len(rows):
+            return self
+        device, host = rows["device_time"], rows["host_time"]
+        # Before the very first sample the time is NaN, which no comparison counts.
+        steps = np.diff(device, prepend=self.last_time) * rate_hz
+        host_steps = np.diff(host, prepend=self.last_host_time) * rate_hz
+        gap = steps > _GAP_PERIODS
+        return replace(
+            self,
+            samples=self.samples + len(rows),
+            gaps=self.gaps + int(gap.sum()),
+            missing=self.missing + int(np.rint(steps[gap] - 1.0).sum()),
+            duplicates=self.duplicates + int((steps < _DUPLICATE_PERIODS).sum()),
+            overruns=self.overruns + int((~gap & (host_steps > _GAP_PERIODS)).sum()),
+            first_time=float(device[0]) if self.samples == 0 else self.first_time,
+            last_time=float(device[-1]),
+            last_host_time=float(host[-1]),
+        )
 
 
 class Recorder:
@@ -89,9 +140,9 @@ class Recorder:
 
     @property
     def behind_s(self) -> float:
-        """How far what the kernel has lags behind what was handed over [s, wall time].
+        """Time that the oldest row not yet in the kernel has been waiting [s, wall time].
 
-        That is how long the oldest row still here has been waiting: what a kill would lose now.
+        That is what a kill would lose now.
         """
         since = self._writing_since
         if since is None:
@@ -133,7 +184,7 @@ class Recorder:
         self._events.append(event)
 
     def close(self, timeout_s: float = 60.0) -> Mapping[str, Counts]:
-        """Write everything out and finish the file. Idempotent; returns the final counts.
+        """Write everything out and finish the file. Idempotent; return the final counts.
 
         Raises:
             RecordingError: Writing has failed or did not end in time; what was flushed is kept
@@ -241,3 +292,124 @@ class Recorder:
             return
         if new := self._disk.part_after(self._writer):
             self._writer = new
+
+
+class _Block(NamedTuple):
+    """Rows that wait to be written, and when they were handed over [s, monotonic clock]."""
+
+    topic: str
+    content: bytes
+    since: float
+
+
+class DiskThread:
+    """Keeps the open part durable and has the next one ready; owned by the recorder thread.
+
+    Args:
+        writer: The open part.
+        next_part: Opens the part that follows, None where there is none.
+        fsync_interval_s: Wall time between calls of fsync [s].
+        failed: Called with what went wrong, in this thread; nothing more is done after it.
+    """
+
+    def __init__(
+        self,
+        writer: McapWriter,
+        next_part: NextPart | None,
+        fsync_interval_s: float,
+        failed: Callable[[BaseException], None],
+    ) -> None:
+        self._writer = writer
+        self._next_part = next_part
+        self._interval_s = fsync_interval_s
+        self._failed = failed
+        self._part = 0
+        self._unsynced = False
+        # None → "wanted" → a part → None: the recorder thread asks and takes, this one opens. With
+        # one owner for every step there is no moment in which a part could be opened in vain.
+        self._next: Literal["wanted"] | McapWriter | None = None
+        self._full: deque[McapWriter] = deque()
+        self._ending: Callable[[], None] | None = None
+        self._wake = threading.Event()
+        self._last_sync = time.monotonic()
+        self._thread = threading.Thread(target=self._run, name="hil-disk", daemon=True)
+        self._thread.start()
+
+    def written(self) -> None:
+        """Note that the open part holds something that the disk does not have yet."""
+        self._unsynced = True
+
+    def part_after(self, writer: McapWriter) -> McapWriter | None:
+        """Return the next part once it is open, else None: it is being opened then; ask again.
+
+        When there is one, `writer`, which must be flushed, is finished here in its own time.
+        """
+        new = self._next
+        if new is None:
+            self._next = "wanted"
+            self._wake.set()
+        if new is None or new == "wanted":
+            return None
+        self._next = None
+        self._full.append(writer)
+        self._writer = new
+        self._wake.set()
+        return new
+
+    def finish(self) -> None:
+        """Have all parts finished, then end; nothing more may be written."""
+        self._end(self._finish_all)
+
+    def abandon(self) -> None:
+        """Have all parts closed as they are, then end."""
+        self._end(self._abandon_all)
+
+    def join(self, timeout_s: float) -> bool:
+        """Wait for the end; return whether it came in time."""
+        self._thread.join(max(0.0, timeout_s))
+        return not self._thread.is_alive()
+
+    def _end(self, how: Callable[[], None]) -> None:
+        self._ending = how
+        self._wake.set()
+
+    def _run(self) -> None:
+        try:
+            while self._ending is None:
+                self._wake.wait(min(self._interval_s, _LONGEST_WAIT_S))
+                self._wake.clear()
+                self._finish_full()
+                if self._next == "wanted" and self._next_part is not None:
+                    self._part += 1
+                    self._next = self._next_part(self._part)
+                now = time.monotonic()
+                if self._unsynced and now - self._last_sync >= self._interval_s:
+                    self._last_sync, self._unsynced = now, False
+                    self._writer.sync()
+            self._ending()
+        except BaseException as error:  # whatever it was, the control thread has to hear of it
+            self._failed(error)
+            # The recorder thread goes on writing to the open part until it closes.
+            while self._ending is None:
+                self._wake.wait(_LONGEST_WAIT_S)
+                self._wake.clear()
+            self._abandon_all()
+
+    def _finish_full(self) -> None:
+        while self._full:
+            self._full[0].finish()
+            self._full.popleft()
+
+    def _finish_all(self) -> None:
+        self._finish_full()
+        self._discard_next()
+        self._writer.finish()
+
+    def _abandon_all(self) -> None:
+        self._discard_next()
+        for writer in (*self._full, self._writer):
+            writer.abandon()
+
+    def _discard_next(self) -> None:
+        if isinstance(self._next, McapWriter):
+            self._next.discard()
