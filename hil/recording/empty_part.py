@@ -12,7 +12,7 @@ from typing import IO
 from mcap.opcode import Opcode
 
 from hil.recording.mcap_records import RECORD_HEADER, Layout
-from hil.recording.rebuild import Salvage
+from hil.recording.salvage import Salvage
 
 _CHUNK_HEAD = struct.Struct("<QQQII")
 _LENGTH = struct.Struct("<Q")

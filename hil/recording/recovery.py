@@ -19,9 +19,9 @@ from typing import IO
 from hil.core import DataError, RecordingError, fsync_directory, sha256_of
 from hil.recording.empty_part import never_got_a_message
 from hil.recording.mcap_records import Layout, scan
-from hil.recording.rebuild import Salvage, rebuild, survey
 from hil.recording.recording_files import hint_of_lost
 from hil.recording.recovery_result import Did, Recovery
+from hil.recording.salvage import Salvage, rebuild, survey
 from hil.recording.tally import tally_of
 from hil.recording.torn_names import (
     Names,

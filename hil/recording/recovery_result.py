@@ -8,7 +8,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal
 
-from hil.recording.rebuild import Damage, Salvage
+from hil.recording.salvage import Damage, Salvage
 
 Did = Literal["nothing", "renamed", "rebuilt", "empty", "discarded"]
 
