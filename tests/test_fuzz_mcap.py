@@ -146,7 +146,7 @@ def test_compressed_bombs(name: str, claimed: int) -> None:
 def test_file_that_defines_the_same_channel_anew_in_every_record(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hil.recording.routes._MOST_CHANNELS", 1000)
+    monkeypatch.setattr("hil.recording.salvage._MOST_CHANNELS", 1000)
     schema = struct.pack("<H", 1) + b"\x01\0\0\0a\x01\0\0\0b\0\0\0\0"
     records = [record(Opcode.SCHEMA, schema)]
     for number in range(1_001):

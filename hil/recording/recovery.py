@@ -17,12 +17,10 @@ from pathlib import Path
 from typing import IO
 
 from hil.core import DataError, RecordingError, fsync_directory, sha256_of
-from hil.recording.empty_part import never_got_a_message
 from hil.recording.mcap_records import Layout, scan
 from hil.recording.recording_files import hint_of_lost
 from hil.recording.recovery_result import Did, Recovery
-from hil.recording.salvage import Salvage, rebuild, survey
-from hil.recording.tally import tally_of
+from hil.recording.salvage import Salvage, never_got_a_message, rebuild, survey, tally_of
 from hil.recording.torn_names import (
     Names,
     disk_named,
