@@ -29,7 +29,7 @@ import numpy as np
 from hil.core.errors import DataError
 from hil.core.typing import StructArray
 from hil.recording import Attachment, McapWriter, Recorder, read_topic
-from hil.recording.recover_run import recover
+from hil.recording.recovery import recover
 from hil.recording.run_directory import RunDirectory
 from hil.robot.topic import STATE_TOPIC, state_topic
 

@@ -14,7 +14,7 @@ from hil.cli.app import app
 from hil.core.errors import DataError
 from hil.importers.load import load_source
 from hil.recording import McapWriter, RunDirectory, read_topic
-from hil.recording.recover_run import recover
+from hil.recording.recovery import recover
 from hil.robot.topic import state_topic
 
 

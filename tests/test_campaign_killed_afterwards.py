@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 import hil
 from hil.cli.app import app
 from hil.core.errors import DataError, FitError, Rejected
-from hil.recording.recover_run import recover
+from hil.recording.recovery import recover
 from hil.recording.run_directory import RESERVE, RunDirectory, reserve
 from hil.runs.summary import list_runs
 

@@ -24,8 +24,7 @@ from hil.core.live_lock import hold_run
 from hil.core.typing import StructArray
 from hil.recording import Attachment, RunDirectory, read_info, read_topic
 from hil.recording.mcap_records import scan
-from hil.recording.recover_run import recover
-from hil.recording.recovery import recover_file
+from hil.recording.recovery import recover, recover_file
 from hil.report.soundness import torn as torn_in_words
 
 ROWS = 40

@@ -13,7 +13,7 @@ from hil.cli.app import app
 from hil.core.errors import DataError
 from hil.recording import Attachment, McapWriter, RunDirectory, read_info, read_topic
 from hil.recording.mcap_records import ChunkSpan, scan
-from hil.recording.recover_run import recover
+from hil.recording.recovery import recover
 from hil.robot.topic import STATE_TOPIC
 
 TOPIC = six_axis_topic()

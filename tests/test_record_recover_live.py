@@ -17,8 +17,7 @@ from recorded_rows import rows_of, six_axis_topic
 
 from hil.core.errors import DataError, RecordingError
 from hil.recording import McapWriter, Recorder, RunDirectory, read_info, read_topic
-from hil.recording.recover_run import recover
-from hil.recording.recovery import recover_file
+from hil.recording.recovery import recover, recover_file
 from hil.robot.topic import STATE_TOPIC
 
 TOPIC = six_axis_topic()

@@ -22,7 +22,7 @@ from .recording_files import PARTIAL_SUFFIX as PARTIAL_SUFFIX
 from .recording_files import attempt_of as attempt_of
 from .recording_files import hint_of_lost as hint_of_lost
 from .recording_files import recordings_in as recordings_in
-from .recover_run import recover as recover
+from .recovery import recover as recover
 from .run_directory import PRUNED as PRUNED
 from .run_directory import RESERVE_BYTES as RESERVE_BYTES
 from .run_directory import Outcome as Outcome

@@ -93,11 +93,12 @@ def package_versions() -> dict[str, str]:
     except importlib.metadata.PackageNotFoundError:
         requirements = []
     names = {name[0] for line in requirements if (name := re.match(r"[\w.-]+", line))}
-    versions = {name: _version(name) for name in sorted({"hil"} | names)}
+    versions = {name: version_of(name) for name in sorted({"hil"} | names)}
     return {name: version for name, version in versions.items() if version}
 
 
-def _version(name: str) -> str | None:
+def version_of(name: str) -> str | None:
+    """Return the version of a package, None if it is not installed."""
     try:
         return importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:
