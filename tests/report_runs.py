@@ -177,7 +177,7 @@ def robot_facts() -> dict[str, Any]:
 
 def _record(run: RunDirectory, rows: np.ndarray, finish: bool) -> None:
     topic = state_topic(6, RATE, clock="virtual", effort_unit="A")
-    writer = McapWriter(run.next_recording(), [topic])
+    writer = McapWriter(run.part_path(len(run.recordings)), [topic])
     if len(rows):
         writer.write(STATE_TOPIC, rows)
     writer.flush(durable=False)

@@ -66,8 +66,8 @@ def run_with(tmp_path, *attempts, plan=PLAN, stop=True, unsettled=(), robot=ROBO
     run = RunDirectory.create(tmp_path / "runs", "ur5", "test")
     run.write_json("plan.json", plan)
     run.write_start({"uid": "u", "robot": robot})
-    for block in attempts:
-        with McapWriter(run.next_recording(), [topic()], joint_names=NAMES) as writer:
+    for attempt, block in enumerate(attempts):
+        with McapWriter(run.part_path(attempt), [topic()], joint_names=NAMES) as writer:
             writer.write(STATE_TOPIC, block)
     if stop:
         run.write_stop("completed", "", {"unsettled": list(unsettled)})

@@ -288,7 +288,7 @@ def test_outcome_is_the_status(tmp_path: Path, outcome: Any) -> None:
 
 def test_stop_document_has_the_checksum_of_every_file(tmp_path: Path) -> None:
     run = started(tmp_path)
-    record_state(run.next_recording(), 10)
+    record_state(run.part_path(0), 10)
     run.write_stop("completed", "all steps done")
     checksums = (run.stop or {})["sha256"]
     assert set(checksums) == {"start.json", "recording/00.mcap"}
@@ -303,12 +303,12 @@ def test_stop_document_has_the_checksum_of_every_file(tmp_path: Path) -> None:
 
 def test_every_attempt_gets_a_recording_of_its_own(tmp_path: Path) -> None:
     run = started(tmp_path)
-    assert run.next_recording().name == "00.mcap"
-    record_state(run.next_recording(), 4)
+    record_state(run.part_path(0), 4)
+    assert run.next_attempt() == 1
     (run.path / "recording" / "01.mcap.partial").write_bytes(b"")
     (run.path / "recording" / "notes.txt").write_text("not a recording")
     assert [path.name for path in run.recordings] == ["00.mcap", "01.mcap.partial"]
-    assert run.next_recording().name == "02.mcap"
+    assert run.next_attempt() == 2
 
 
 def test_run_of_a_newer_hil_is_refused_with_the_remedy(tmp_path: Path) -> None:

@@ -37,7 +37,9 @@ class EventLog:
         self.path = Path(path)
         try:
             self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
-            _end_torn_line(self._descriptor)
+            size = os.fstat(self._descriptor).st_size
+            if size and os.pread(self._descriptor, 1, size - 1) != b"\n":
+                os.write(self._descriptor, b"\n")  # ends a line that a crash has torn
             fsync_directory(self.path.parent)
         except OSError as error:
             raise RecordingError(
@@ -51,7 +53,7 @@ class EventLog:
         self._thread.start()
 
     def append(self, kind: str, /, **data: Any) -> Mapping[str, Any]:
-        """Log that something happened; returns the event, for `Recorder.put_event` and observers.
+        """Log that something happened; return the event, for `Recorder.put_event` and observers.
 
         Args:
             kind: What happened, such as `state`, `checkpoint`, `trip`.
@@ -101,7 +103,7 @@ class EventLog:
         return RecordingError(f"the event log {self.path} is closed")
 
     def _waiting(self) -> list[bytes]:
-        """Every line there is, at least one; none at the end. They share one fsync."""
+        """Return every line there is, at least one; none at the end. They share one fsync."""
         lines: list[bytes] = []
         while not self._ended and (not lines or not self._lines.empty()):
             line = self._lines.get()
@@ -114,7 +116,9 @@ class EventLog:
     def _run(self) -> None:
         try:
             while lines := self._waiting():
-                _write_all(self._descriptor, b"".join(lines))
+                content = b"".join(lines)
+                while content:
+                    content = content[os.write(self._descriptor, content) :]
                 os.fsync(self._descriptor)
         except OSError as error:
             self._error = error
@@ -123,7 +127,7 @@ class EventLog:
 
 
 def read_events(path: Path) -> list[dict[str, Any]]:
-    """The events of a log, in order; lines that a crash or an edit spoilt are left out.
+    """Return the events of a log, in order, without lines that a crash or an edit spoilt.
 
     Raises:
         DataError: The file cannot be read.
@@ -132,13 +136,16 @@ def read_events(path: Path) -> list[dict[str, Any]]:
 
 
 def foreign_lines(path: Path) -> int:
-    """How many lines of a log are no events, and not what a crash leaves of one either.
+    """Return how many lines of a log are no events, and not what a crash leaves of one either.
 
     Raises:
         DataError: The file cannot be read.
     """
     spoilt = (line for line in _lines_of(path) if line.strip() and _event_of(line) is None)
-    return sum(not _is_torn_event(line) for line in spoilt)
+    # A torn event begins as every event does, and has no end.
+    return sum(
+        line[: len(_BEGINNING)] != _BEGINNING[: len(line)] or line.endswith(b"}") for line in spoilt
+    )
 
 
 def _lines_of(path: Path) -> list[bytes]:
@@ -153,26 +160,9 @@ def _lines_of(path: Path) -> list[bytes]:
         ) from error
 
 
-def _is_torn_event(line: bytes) -> bool:
-    """Whether a line begins as every event does, and has no end."""
-    return line[: len(_BEGINNING)] == _BEGINNING[: len(line)] and not line.endswith(b"}")
-
-
 def _event_of(line: bytes) -> dict[str, Any] | None:
     try:
         event = json.loads(line)
     except (ValueError, RecursionError):
         return None
     return event if isinstance(event, dict) and "kind" in event else None
-
-
-def _write_all(descriptor: int, content: bytes) -> None:
-    while content:
-        content = content[os.write(descriptor, content) :]
-
-
-def _end_torn_line(descriptor: int) -> None:
-    """Keep the next line whole when a crash left the last one without its end."""
-    size = os.fstat(descriptor).st_size
-    if size and os.pread(descriptor, 1, size - 1) != b"\n":
-        os.write(descriptor, b"\n")

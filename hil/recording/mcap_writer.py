@@ -122,7 +122,12 @@ class McapWriter:
     ) -> None:
         self.path = Path(path)
         self.topics = {topic.name: topic for topic in topics}
-        _require_free(self.path, self.partial_path)
+        for taken in (self.path, self.partial_path):
+            if taken.exists():
+                raise RecordingError(
+                    f"{taken} exists already, and a recording is never appended to or replaced",
+                    hint="record under the next number",
+                )
         draft = self.path.with_name(f".{self.path.name}.{os.getpid()}.draft")
         with self._refusal_named():
             self._file: IO[bytes] = draft.open("xb")
@@ -242,6 +247,7 @@ class McapWriter:
         attachments: Sequence[Attachment],
         joint_names: Sequence[str],
     ) -> None:
+        """Write metadata and attachments, and announce all topics."""
         stream = self._stream
         version = {"format_version": str(FILE_FORMAT_VERSION)}
         own = {FILE_METADATA: version | dict(metadata.get(FILE_METADATA, {}))}
@@ -258,18 +264,15 @@ class McapWriter:
         self._channels[EVENT_TOPIC] = stream.register(EVENT_TOPIC, EVENT_SCHEMA, EVENT_TEXT, {})
         self._joint_states: JointStateView | None = None
         if joint_names and STATE_TOPIC in self.topics:
-            self._joint_states = self._register_joint_states(joint_names)
-
-    def _register_joint_states(self, joint_names: Sequence[str]) -> JointStateView:
-        topic = self.topics[STATE_TOPIC]
-        view = JointStateView(joint_names, topic.rate_hz)
-        self._channels[JOINT_STATE_TOPIC] = self._stream.register(
-            JOINT_STATE_TOPIC,
-            JOINT_STATE_SCHEMA,
-            JOINT_STATE_TEXT,
-            {"decimation": str(view.every), "unit.effort": topic.units.get("effort", "")},
-        )
-        return view
+            state = self.topics[STATE_TOPIC]
+            self._joint_states = JointStateView(joint_names, state.rate_hz)
+            every, unit = str(self._joint_states.every), state.units.get("effort", "")
+            self._channels[JOINT_STATE_TOPIC] = stream.register(
+                JOINT_STATE_TOPIC,
+                JOINT_STATE_SCHEMA,
+                JOINT_STATE_TEXT,
+                {"decimation": every, "unit.effort": unit},
+            )
 
     def _append(self, topic: str, rows: StructArray, messages: StructArray) -> None:
         if not len(rows):
@@ -292,15 +295,6 @@ def require_rows_of(topics: Mapping[str, Topic], name: str, rows: StructArray) -
         )
     if rows.dtype != topic.dtype:
         raise RecordingError(f"rows of {name} are {rows.dtype}, not {topic.dtype}")
-
-
-def _require_free(*paths: Path) -> None:
-    for taken in paths:
-        if taken.exists():
-            raise RecordingError(
-                f"{taken} exists already, and a recording is never appended to or replaced",
-                hint="record under the next number",
-            )
 
 
 def _lock(file: IO[bytes], how: int) -> None:

@@ -237,11 +237,6 @@ class RunDirectory:
         begun = self.attempts if (self.path / "start.json").exists() else 0
         return max([begun, *recorded])
 
-    def next_recording(self) -> Path:
-        """Return the path of the next attempt's recording."""
-        recorded = [attempt_of(path) for path in self.recordings]
-        return self.part_path(max(recorded, default=-1) + 1)
-
     def part_path(self, attempt: int, part: int = 0) -> Path:
         """Return the path of a part of an attempt's recording; part 0 is its beginning."""
         return self.path / "recording" / part_name(attempt, part)
