@@ -1,7 +1,7 @@
 """Writes one MCAP file; single-threaded but for `sync`, used by the recorder and by importers.
 
 The file is called `NN.mcap.partial` until it is finished, and is locked until then, so that
-nobody takes it for one that a kill has left. What explains the data (metadata, attachments, message
+it is not taken for one that a kill has left. What explains the data (metadata, attachments, message
 definitions) is written first and before the file gets even that name, so that whatever bears it
 says what it is. Chunks are 1 MiB, zstd.
 
@@ -322,7 +322,7 @@ def _nanoseconds(seconds: StructArray) -> IntArray:
 
 
 class McapStream:
-    """Writes MCAP records to a binary file that nobody else writes to.
+    """Writes MCAP records to a binary file that has no other writer.
 
     Args:
         file: Open for writing, empty.

@@ -107,7 +107,7 @@ def version_of(name: str) -> str | None:
 
 def source_revision() -> dict[str, Any] | None:
     """Return the `git_state` of the checkout hil runs from, None if installed from a wheel."""
-    # A virtual environment often lies in somebody else's repository: that one must track hil.
+    # A virtual environment often lies in a repository of another project: it must track hil.
     return git_state(_PACKAGE) if is_tracked(_PACKAGE / "__init__.py") else None
 
 

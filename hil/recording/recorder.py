@@ -101,7 +101,7 @@ class Recorder:
         fsync_interval_s: Wall time between calls of fsync [s].
         backlog_limit_s: How far writing may fall behind, in seconds of data at nominal rates.
         on_backlog: `raise` beyond the limit, or `wait` for the disk: right for virtual clocks
-            only, where the robot stands still while nobody reads.
+            only, where the robot stands still until its state is read.
     """
 
     def __init__(

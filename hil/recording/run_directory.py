@@ -188,7 +188,7 @@ class RunDirectory:
 
     @property
     def status(self) -> RunStatus:
-        """How the run ended; `interrupted` when it never came to write its stop document."""
+        """How the run ended; `interrupted` if it has no stop document."""
         stop = self.stop
         if stop is None:
             return "interrupted"
