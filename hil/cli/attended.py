@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from functools import partial, wraps
+from functools import cache, partial, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -145,13 +145,18 @@ class Attended:
         return Granted("--yes", self.operator) if self.yes else None
 
 
-def with_attendance(verb: Callable[..., None]) -> Callable[..., None]:
-    """Give a verb the options of `Attended` in place of its parameter `attended`."""
-    signature = inspect.signature(verb, eval_str=True)
-    shared = {
+@cache
+def _shared_options() -> dict[str, inspect.Parameter]:
+    return {
         option.name: option.replace(kind=inspect.Parameter.KEYWORD_ONLY)
         for option in inspect.signature(Attended, eval_str=True).parameters.values()
     }
+
+
+def with_attendance(verb: Callable[..., None]) -> Callable[..., None]:
+    """Give a verb the options of `Attended` in place of its parameter `attended`."""
+    signature = inspect.signature(verb, eval_str=True)
+    shared = _shared_options()
     own = [
         option.replace(kind=inspect.Parameter.KEYWORD_ONLY)
         for option in signature.parameters.values()

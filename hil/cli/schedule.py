@@ -5,7 +5,6 @@ from __future__ import annotations
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
-from zoneinfo import ZoneInfo
 
 import typer
 
@@ -24,6 +23,8 @@ from hil.cli.simulating import simulate
 from hil.core import DataError, HilError, SpecError
 
 if TYPE_CHECKING:
+    from zoneinfo import ZoneInfo
+
     from hil.maintenance import Ledger
     from hil.spec import ScheduleSpec
 
@@ -85,7 +86,7 @@ def run(
         spec, registry=Registry(registry), runs=runs, station=station, confirm=confirm,
         tell=_tell_stage,
     )  # fmt: skip
-    zone, wait_s = ZoneInfo(spec.timezone), spec.wait_for_robot.total_seconds()
+    zone, wait_s = _zone(spec), spec.wait_for_robot.total_seconds()
     with kept(_state(spec, state), spec.name) as ledger, WallClock() as clock:
         scheduler = Scheduler(
             spec, ledger, work, clock,
@@ -160,7 +161,7 @@ def plan(
 
     bound, now = bind_file(file, station), datetime.now(UTC)
     spec = bound.spec
-    zone = ZoneInfo(spec.timezone)
+    zone = _zone(spec)
     end = _end(until, zone) if until else now + timedelta(weeks=weeks)
     if end <= now:
         raise SpecError(f"--until {until} is past", hint="give a later one")
@@ -194,7 +195,7 @@ def show(file: FileArgument, state: StateOption = None, json: JsonFlag = False) 
     from hil.workflow import read_armed
 
     spec, folder, ledger = _led(file, state)
-    zone, now, standing = ZoneInfo(spec.timezone), datetime.now(UTC), ledger.standing
+    zone, now, standing = _zone(spec), datetime.now(UTC), ledger.standing
     holder, coming, armed = holder_of(folder / LOCK), _coming(spec, ledger, now), read_armed(folder)
     if json:
         print_json({
@@ -224,7 +225,7 @@ def hold(file: FileArgument, reason: ReasonOption, state: StateOption = None) ->
     from hil.maintenance import hold as hold_ledger
 
     spec, _, ledger = _begun(file, state)
-    say(words(hold_ledger(ledger, datetime.now(UTC), reason), ZoneInfo(spec.timezone)))
+    say(words(hold_ledger(ledger, datetime.now(UTC), reason), _zone(spec)))
 
 
 @app.command()
@@ -234,7 +235,7 @@ def release(file: FileArgument, reason: ReasonOption, state: StateOption = None)
     from hil.maintenance import release as release_ledger
 
     spec, _, ledger = _begun(file, state)
-    zone, now = ZoneInfo(spec.timezone), datetime.now(UTC)
+    zone, now = _zone(spec), datetime.now(UTC)
     say(words(release_ledger(ledger, now, reason), zone))
     if (waits := choose(spec, ledger.standing, now).chosen) is not None:
         say(f"{waits.id} has waited: whoever runs the schedule begins it within a minute")
@@ -299,6 +300,12 @@ def _armed_now(armed: dict[str, Any] | None, file: Path) -> str:
     if not changed:
         return _armed_words(armed)
     return f"{_armed_words(armed)}; changed since: {', '.join(changed)}; arm it again"
+
+
+def _zone(spec: ScheduleSpec) -> ZoneInfo:
+    from zoneinfo import ZoneInfo
+
+    return ZoneInfo(spec.timezone)
 
 
 def _state(spec: ScheduleSpec, given: Path | None) -> Path:

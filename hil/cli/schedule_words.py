@@ -5,11 +5,12 @@ from __future__ import annotations
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from zoneinfo import ZoneInfo
 
 from hil.cli.output import duration, print_table, say
 
 if TYPE_CHECKING:
+    from zoneinfo import ZoneInfo
+
     from hil.maintenance import Expected, Line
     from hil.spec import ScheduleSpec
 
