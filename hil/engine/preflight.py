@@ -239,10 +239,11 @@ def preflight(plan: Plan, robot: Robot, context: Context) -> list[CheckResult]:
         SpecError: A waiver names a check that does not exist or cannot be waived.
         RobotError: The robot's state cannot be read.
     """
+    names = _names()
     require_waivable(context.waivers)
     situation = Situation(plan, robot, robot.read()[-1], context)
     results = []
-    for name in _names():
+    for name in names:
         result = _run(name, situation)
         waived = not result.passed and name in context.waivers and result.waivable
         results.append(replace(result, waived=waived))
