@@ -1,7 +1,5 @@
 """The `hil` command: gathers the verbs and turns errors into messages and exit codes."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import os

@@ -1,7 +1,5 @@
 """The options of verbs that move a robot while somebody attends, and runs attended so."""
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
@@ -81,9 +79,9 @@ class Attended:
     live: LiveFlag = False
     live_port: LivePort = None
     live_host: LiveHost = None
-    together: Together | None = field(default=None, init=False)
+    together: "Together | None" = field(default=None, init=False)
 
-    def confirm_together(self, moves: Moves) -> None:
+    def confirm_together(self, moves: "Moves") -> None:
         """Confirm all robots of a series or a fleet at once; its runs do not ask again."""
         from hil.workflow import confirm_together
 
@@ -92,7 +90,7 @@ class Attended:
             return
         self.together = confirm_together(moves, who=self.operator, yes=self.yes)
 
-    def run(self, experiment: Experiment, runs: Path) -> RunReport:
+    def run(self, experiment: "Experiment", runs: Path) -> "RunReport":
         """Run an experiment."""
         from hil.workflow import checked_robot, run_opened
 
@@ -101,7 +99,7 @@ class Attended:
             move = partial(run_opened, experiment, robot, runs=runs)
             return self._attend(lambda: robot.capabilities, move, confirm)
 
-    def resume(self, run: Path) -> RunReport:
+    def resume(self, run: Path) -> "RunReport":
         """Go on with a run."""
         from hil import api
         from hil.recording import RunDirectory
@@ -114,10 +112,10 @@ class Attended:
 
     def _attend(
         self,
-        robot: Callable[[], Capabilities],
-        move: Callable[..., RunReport],
-        confirm: Confirm | None,
-    ) -> RunReport:
+        robot: "Callable[[], Capabilities]",
+        move: "Callable[..., RunReport]",
+        confirm: "Confirm | None",
+    ) -> "RunReport":
         from hil.cli.progress import ProgressLines
         from hil.workflow import console_desk
 
@@ -136,7 +134,7 @@ class Attended:
                 desk=desk,
             )
 
-    def _confirm(self) -> Confirm | None:
+    def _confirm(self) -> "Confirm | None":
         """Return the confirmation that replaces the console's; None for the console."""
         from hil.workflow import Granted, granted_in
 
@@ -149,13 +147,13 @@ class Attended:
 def _shared_options() -> dict[str, inspect.Parameter]:
     return {
         option.name: option.replace(kind=inspect.Parameter.KEYWORD_ONLY)
-        for option in inspect.signature(Attended, eval_str=True).parameters.values()
+        for option in inspect.signature(Attended).parameters.values()
     }
 
 
 def with_attendance(verb: Callable[..., None]) -> Callable[..., None]:
     """Give a verb the options of `Attended` in place of its parameter `attended`."""
-    signature = inspect.signature(verb, eval_str=True)
+    signature = inspect.signature(verb)
     shared = _shared_options()
     own = [
         option.replace(kind=inspect.Parameter.KEYWORD_ONLY)
@@ -174,7 +172,7 @@ def with_attendance(verb: Callable[..., None]) -> Callable[..., None]:
     return with_options
 
 
-def rejected(report: RunReport) -> Rejected | None:
+def rejected(report: "RunReport") -> Rejected | None:
     """The error of a run whose model missed its criteria."""
     if report.verdict != "rejected":
         return None

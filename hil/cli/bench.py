@@ -1,7 +1,5 @@
 """`hil bench`: speed and memory as ratios against a peer measured in the same run."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any
 
 import typer

@@ -4,8 +4,6 @@ Typer asks for them when a shell calls `hil` with `_HIL_COMPLETE`; only then `at
 that no other command pays for it.
 """
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Callable, Iterator
 from copy import copy
@@ -102,7 +100,7 @@ def attach(app: typer.Typer) -> None:
             find = BY_COMMAND.get((verb, name), BY_NAME.get(name))
             if find is not None and get_origin(hint) is Annotated:
                 hints[name] = _with(find, hint)
-        # Annotations are text until here: typer would make them anew, without what was attached.
+        # typer reads the signature; the annotation itself may be shared with other commands.
         signature = inspect.signature(callback)
         vars(callback)["__signature__"] = signature.replace(
             parameters=[

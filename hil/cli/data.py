@@ -1,7 +1,5 @@
 """`hil import`, `hil export-data`: recordings from other tools and for them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

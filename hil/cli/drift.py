@@ -1,7 +1,5 @@
 """`hil drift`: is a robot still the one its champion was fitted to?"""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Any
 

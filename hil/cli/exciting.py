@@ -1,7 +1,5 @@
 """`hil excite`: what the trajectories of a spec are worth, and what they leave of every limit."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -80,7 +78,7 @@ def excite(
     typer.echo(f"page: {page}")
 
 
-def _origin(report: ExcitationReport) -> str:
+def _origin(report: "ExcitationReport") -> str:
     total = len(report.appraisal.trajectories)
     if report.spec.optimise is None:
         return f"{total} trajectories, drawn at random (excitation.optimise would optimise them)"
@@ -90,7 +88,7 @@ def _origin(report: ExcitationReport) -> str:
     return f"{total} optimised trajectories, {found} found in {duration(report.seconds)}"
 
 
-def _print_conditions(report: ExcitationReport) -> None:
+def _print_conditions(report: "ExcitationReport") -> None:
     rows = []
     for number, one in enumerate(report.appraisal.trajectories, 1):
         least = f"{1e3 * one.closest.distance_m:.1f}"
@@ -108,16 +106,16 @@ def _print_conditions(report: ExcitationReport) -> None:
         _say("random: the best single one of as many random draws, and all of them jointly")
 
 
-def _least(report: ExcitationReport) -> str:
+def _least(report: "ExcitationReport") -> str:
     assert report.random is not None
     return f"{1e3 * report.random.closest[1].distance_m:.1f}"
 
 
-def _conditions(information: Information) -> tuple[str, str]:
+def _conditions(information: "Information") -> tuple[str, str]:
     return f"{information.condition_scaled:.2f}", f"{information.condition_raw:.1f}"
 
 
-def _print_margins(report: ExcitationReport) -> None:
+def _print_margins(report: "ExcitationReport") -> None:
     margins = report.appraisal.margins
     shown = [name for name in MARGINS if math.isfinite(margins[name].max())]
     _say("margins: what all of them leave of each limit")
@@ -131,7 +129,7 @@ def _print_margins(report: ExcitationReport) -> None:
     print_table(("", *(MARGINS[name][0] for name in shown)), rows)
 
 
-def _sentences(report: ExcitationReport) -> Iterator[str]:
+def _sentences(report: "ExcitationReport") -> Iterator[str]:
     number, closest = report.appraisal.closest
     kept = 1e3 * report.appraisal.limits.clearance_m
     yield (

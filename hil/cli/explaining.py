@@ -1,7 +1,5 @@
 """`hil explain`: what a key of a YAML file means, and what an exit code."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any
@@ -51,7 +49,7 @@ def explain(
         _print_key(told)
 
 
-def _keys(key: str) -> list[KeyInfo]:
+def _keys(key: str) -> "list[KeyInfo]":
     """What a key means; keys that many mappings share in the same words are told once."""
     from hil.spec import explain_key
 
@@ -65,7 +63,7 @@ def _keys(key: str) -> list[KeyInfo]:
     return list(unlike.values())
 
 
-def _told(info: KeyInfo) -> dict[str, Any]:
+def _told(info: "KeyInfo") -> dict[str, Any]:
     from hil.spec import section_of
 
     below = [one.path.rpartition(".")[2] for one in _below(info)]
@@ -83,7 +81,7 @@ def _told(info: KeyInfo) -> dict[str, Any]:
     }
 
 
-def _below(info: KeyInfo) -> list[KeyInfo]:
+def _below(info: "KeyInfo") -> "list[KeyInfo]":
     """The keys of the mapping that a key holds, of all its kinds."""
     from hil.spec import MODELS, keys_below
 
@@ -92,7 +90,7 @@ def _below(info: KeyInfo) -> list[KeyInfo]:
     return [replace(one, file=info.file) for one in known if one.path.rpartition(".")[0] in above]
 
 
-def _example(info: KeyInfo) -> str:
+def _example(info: "KeyInfo") -> str:
     """A line with a key; of a mapping with the first of its keys that has one."""
     from hil.spec import example_of
 

@@ -1,7 +1,5 @@
 """`hil fleet`: many robots of one station."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -98,7 +96,7 @@ def resume(
 
 def _moves(
     specs: Mapping[str, str], spec: Path, station: str, naming: Path, named: Mapping[str, str]
-) -> Moves:
+) -> "Moves":
     """Return what a fleet moves: the spec as each robot runs it, and the file that names robots."""
     from hil.maintenance import experiment_for
     from hil.workflow import Moves
@@ -116,11 +114,13 @@ def _moves(
     return Moves(naming, named, members)
 
 
-def _run(folder: FleetFolder, members: list[dict[str, Any]], manner: Manner, json: bool) -> None:
+def _run(
+    folder: "FleetFolder", members: list[dict[str, Any]], manner: "Manner", json: bool
+) -> None:
     from hil.engine import ignore_from_now_on
     from hil.maintenance import run_fleet
 
-    def tell(ended: Ended, number: int, total: int) -> None:
+    def tell(ended: "Ended", number: int, total: int) -> None:
         why = f": {ended.error.message}" if ended.error else ""
         typer.echo(f"{number} of {total}: {ended.robot}: {ended.word}{why}", err=True)
 
@@ -130,7 +130,7 @@ def _run(folder: FleetFolder, members: list[dict[str, Any]], manner: Manner, jso
     _tell(report, json)
 
 
-def _tell(report: FleetReport, json: bool) -> None:
+def _tell(report: "FleetReport", json: bool) -> None:
     from hil.cli.runs import fail
 
     if json:

@@ -1,7 +1,5 @@
 """`hil fleet fit`, `drift`, `report`: functions of what a fleet has measured."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -146,7 +144,7 @@ def report(
     typer.echo(f"page: {page}")
 
 
-def _fit_row(fit: RobotFit) -> tuple[str, ...]:
+def _fit_row(fit: "RobotFit") -> tuple[str, ...]:
     rmse = fit.result.rmse
     mean = f"{sum(rmse) / len(rmse):.4f}" if rmse else ""
     word = {True: "met", False: "missed", None: ""}[fit.result.passed]
@@ -155,7 +153,7 @@ def _fit_row(fit: RobotFit) -> tuple[str, ...]:
     return fit.robot, mean, ", ".join(filter(None, (word, run))), role, fit.error or str(fit.model)
 
 
-def _drift_row(one: Probed) -> tuple[str, ...]:
+def _drift_row(one: "Probed") -> tuple[str, ...]:
     if one.probe is None:
         return one.robot, "?", one.error
     what = "; ".join(filter(None, (one.probe.text, one.note)))

@@ -1,7 +1,5 @@
 """`hil gains`: torque per motor current, from known loads or from the controller's own log."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any

@@ -1,7 +1,5 @@
 """`hil record`: record a robot that hil does not drive."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -66,7 +64,7 @@ def record(
         fail(found.error, json)
 
 
-def _tell(found: Listened) -> None:
+def _tell(found: "Listened") -> None:
     steps = ", ".join(f"{kind}: {count}" for kind, count in found.steps.items()) or "nothing"
     typer.echo(f"{found.run}: {found.reason}")
     typer.echo(

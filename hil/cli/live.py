@@ -1,7 +1,5 @@
 """`hil watch`, `hil pause`, `hil stop`, `hil answer`, `hil robots`: runs of other processes."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -152,7 +150,7 @@ def robots(
     print_table(header, [_row(robot) for robot in found])
 
 
-def _row(robot: BenchRobot) -> tuple[str, ...]:
+def _row(robot: "BenchRobot") -> tuple[str, ...]:
     from hil.core import plain, since_words
 
     resource = robot.resource or ("private" if not robot.problem else "?")
@@ -181,7 +179,7 @@ def _user() -> str:
     return user_name()
 
 
-def _tell(reaction: Reaction, json: bool) -> None:
+def _tell(reaction: "Reaction", json: bool) -> None:
     if json:
         print_json(reaction.to_dict())
         return

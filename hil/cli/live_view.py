@@ -1,7 +1,5 @@
 """`--live` of the verbs that move a robot."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -41,8 +39,8 @@ LiveHost = Annotated[
 
 @contextlib.contextmanager
 def live_view(
-    robot: Callable[[], Capabilities], live: bool, port: int | None, host: str | None
-) -> Iterator[tuple[Observer, ...]]:
+    robot: "Callable[[], Capabilities]", live: bool, port: int | None, host: str | None
+) -> "Iterator[tuple[Observer, ...]]":
     """The observers of the live view, serving while inside; none when nobody asked for it.
 
     Raises:
@@ -65,7 +63,7 @@ def live_view(
         yield (view,)
 
 
-def recorded_capabilities(run: Path) -> Capabilities:
+def recorded_capabilities(run: Path) -> "Capabilities":
     """What the robot of a run offered, by the run's own start document.
 
     Raises:

@@ -1,7 +1,5 @@
 """`hil payload`, `hil validate-loads`: loads of recordings, and whether they are those declared."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Any
 

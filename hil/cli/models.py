@@ -1,7 +1,5 @@
 """`hil fit`, `hil evaluate`, `hil report`: pure functions of recorded data."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path

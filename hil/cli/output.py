@@ -1,7 +1,5 @@
 """How verbs print: one JSON document with `--json`, otherwise text a person reads."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import os

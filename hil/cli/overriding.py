@@ -1,7 +1,5 @@
 """Options that change what `hil run` executes and `hil plan` shows: --set, --speed, --first."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -42,7 +40,9 @@ FirstOption = Annotated[
 ]
 
 
-def load_with(spec: Path | Source, station: Path | None, given: Sequence[str] | None) -> Experiment:
+def load_with(
+    spec: "Path | Source", station: Path | None, given: Sequence[str] | None
+) -> "Experiment":
     """Load the experiment of a spec, or of what was read from its file, with values of `--set`.
 
     Warns on stderr where the built-in bench is taken and a station beside the spec has its robot.

@@ -1,7 +1,5 @@
 """`hil prune`: runs let go by a policy; those that registered models came from never."""
 
-from __future__ import annotations
-
 import os
 from collections import Counter
 from datetime import timedelta
@@ -113,7 +111,7 @@ def _age(text: str) -> timedelta | None:
         raise SpecError(f"--older-than {error}", hint="for example: --older-than 180d") from None
 
 
-def _print(told: dict[str, Any], decisions: list[Decision], left: int) -> None:
+def _print(told: dict[str, Any], decisions: "list[Decision]", left: int) -> None:
     gone = [one for one in decisions if one.goes]
     if gone:
         print_table(("goes", "size"), [(str(one.run), size(one.size)) for one in gone])

@@ -1,7 +1,5 @@
 """`hil recover`: torn recordings become whole ones."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """`hil models`: versions of models, who is champion, and the way back."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -293,7 +291,7 @@ def repair(
             say(f"  or make v{now.before[-1]} champion again: {back}")
 
 
-def _roles(home: Registry, name: str) -> tuple[Aliases, RegistryError | None]:
+def _roles(home: "Registry", name: str) -> "tuple[Aliases, RegistryError | None]":
     """Return the roles and the problem of the log; with a problem the roles are unknown."""
     from hil.models import Aliases
 

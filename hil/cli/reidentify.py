@@ -1,7 +1,5 @@
 """`hil reidentify`: probe a robot once, now, and identify it again if it has changed."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -27,7 +25,7 @@ def register(app: typer.Typer) -> None:
     app.command()(reidentify)
 
 
-def validate_schedule(source: Source, station: Path | None, json: bool) -> None:
+def validate_schedule(source: "Source", station: Path | None, json: bool) -> None:
     """Check a schedule with everything it names; all problems at once."""
     from hil.maintenance import bind_file
     from hil.workflow import missing_extras

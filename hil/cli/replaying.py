@@ -1,7 +1,5 @@
 """`hil replay`: a run once more, from a log of its bus."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """`hil rest-pose`: where an arm loads its brakes least."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -85,7 +83,7 @@ def _angles(text: str) -> list[float]:
         ) from None
 
 
-def _print(report: RestReport) -> None:
+def _print(report: "RestReport") -> None:
     load = "nothing" if report.payload.is_empty else str(report.payload)
     _say(f"rest poses of {report.robot} by {Path(report.model).name}, with {load} mounted")
     kept = f", {1e3 * report.clearance_m:.0f} mm clear" if report.clearance_m else ""
@@ -103,7 +101,7 @@ def _print(report: RestReport) -> None:
         _say(f"note: {note}")
 
 
-def _print_summary(named: Iterable[tuple[str, RestPose]]) -> None:
+def _print_summary(named: "Iterable[tuple[str, RestPose]]") -> None:
     print_table(
         ("pose", "rms %", "most %", "clear mm", "without brakes it"),
         [
@@ -119,7 +117,7 @@ def _print_summary(named: Iterable[tuple[str, RestPose]]) -> None:
     )
 
 
-def _print_pose(report: RestReport, name: str, pose: RestPose) -> None:
+def _print_pose(report: "RestReport", name: str, pose: "RestPose") -> None:
     import numpy as np
 
     _say(f"{name}  {pose.label}" if name != pose.label else name)
@@ -151,7 +149,7 @@ def _print_joints(rows: list[tuple[str, list[str]]], joints: int) -> None:
             typer.echo(f"{INDENT}{label:{LABEL_WIDTH}}{numbers}")
 
 
-def _ending(report: RestReport, pose: RestPose) -> str:
+def _ending(report: "RestReport", pose: "RestPose") -> str:
     """What happens when the brakes fail, in words."""
     fail = pose.fail
     weakest = int(min(range(len(fail.spare)), key=lambda j: fail.spare[j]))

@@ -1,7 +1,5 @@
 """`hil run` and `hil resume`: move the robot."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -104,7 +102,7 @@ def resume(
     _tell_report(report, json)
 
 
-def _tell_report(report: RunReport, json: bool) -> None:
+def _tell_report(report: "RunReport", json: bool) -> None:
     if json:
         print_json(report.to_dict())
     else:

@@ -1,7 +1,5 @@
 """`hil runs`, `hil show`: what came of runs."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`hil schedule`: probe a robot, and identify it again, when it is due."""
 
-from __future__ import annotations
-
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -302,17 +300,17 @@ def _armed_now(armed: dict[str, Any] | None, file: Path) -> str:
     return f"{_armed_words(armed)}; changed since: {', '.join(changed)}; arm it again"
 
 
-def _zone(spec: ScheduleSpec) -> ZoneInfo:
+def _zone(spec: "ScheduleSpec") -> "ZoneInfo":
     from zoneinfo import ZoneInfo
 
     return ZoneInfo(spec.timezone)
 
 
-def _state(spec: ScheduleSpec, given: Path | None) -> Path:
+def _state(spec: "ScheduleSpec", given: Path | None) -> Path:
     return given or STATES / spec.name
 
 
-def _led(file: Path, state: Path | None) -> tuple[ScheduleSpec, Path, Ledger]:
+def _led(file: Path, state: Path | None) -> "tuple[ScheduleSpec, Path, Ledger]":
     """The schedule, the folder of its state, and what became of everything."""
     from hil.maintenance import Ledger
     from hil.spec import load_schedule_spec
@@ -324,7 +322,7 @@ def _led(file: Path, state: Path | None) -> tuple[ScheduleSpec, Path, Ledger]:
     return spec, folder, ledger
 
 
-def _begun(file: Path, state: Path | None) -> tuple[ScheduleSpec, Path, Ledger]:
+def _begun(file: Path, state: Path | None) -> "tuple[ScheduleSpec, Path, Ledger]":
     """The same of a schedule that has been started."""
     spec, folder, ledger = _led(file, state)
     if not ledger.lines:
@@ -334,7 +332,7 @@ def _begun(file: Path, state: Path | None) -> tuple[ScheduleSpec, Path, Ledger]:
     return spec, folder, ledger
 
 
-def _coming(spec: ScheduleSpec, ledger: Ledger, now: datetime) -> datetime | None:
+def _coming(spec: "ScheduleSpec", ledger: "Ledger", now: datetime) -> datetime | None:
     """When something is due next that is not settled."""
     from hil.maintenance import occasions
 
@@ -344,7 +342,7 @@ def _coming(spec: ScheduleSpec, ledger: Ledger, now: datetime) -> datetime | Non
     return coming.due if coming else None
 
 
-def _end(text: str, zone: ZoneInfo) -> datetime:
+def _end(text: str, zone: "ZoneInfo") -> datetime:
     """The end of a day, or a time of day there."""
     try:
         moment = datetime.fromisoformat(text)
@@ -361,5 +359,5 @@ def _tell_stage(text: str) -> None:
     say(f"  {text}")
 
 
-def _iso(moment: datetime, zone: ZoneInfo) -> str:
+def _iso(moment: datetime, zone: "ZoneInfo") -> str:
     return moment.astimezone(zone).isoformat(timespec="seconds")

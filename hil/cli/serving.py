@@ -1,7 +1,5 @@
 """`hil serve`: the dashboard."""
 
-from __future__ import annotations
-
 import os
 from functools import partial
 from pathlib import Path

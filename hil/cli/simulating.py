@@ -1,7 +1,5 @@
 """`hil schedule simulate SCHEDULE 12w`: weeks of a schedule on the embedded mock, at once."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from datetime import datetime, timedelta
 from pathlib import Path

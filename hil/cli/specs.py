@@ -1,7 +1,5 @@
 """`hil validate`, `hil plan`, `hil schema`: everything before the robot moves."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal

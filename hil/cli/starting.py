@@ -1,7 +1,5 @@
 """`hil new`: first versions of specs, stations and schedules, with comments."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from pathlib import Path
@@ -137,7 +135,7 @@ def _unknown_robot(path: Path, robot: str) -> list[str]:
     return [f"{source} has no robot {robot!r}; {told} (or name another --station when you run it)"]
 
 
-def _write(made: list[Draft]) -> list[Path]:
+def _write(made: "list[Draft]") -> list[Path]:
     """Write all files or none, and the schemas that they name where there are none yet."""
     from hil.core import write_replacing
     from hil.spec import require_valid, schemas_beside

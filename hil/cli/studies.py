@@ -1,7 +1,5 @@
 """`hil study`, `hil figures`: evaluations of whole runs, and their figures as files."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -93,7 +91,7 @@ def figures(
         typer.echo(str(file))
 
 
-def _tell(done: Studied, page: Path, json: bool) -> None:
+def _tell(done: "Studied", page: Path, json: bool) -> None:
     from hil.cli.study_tables import print_study
 
     if json:

@@ -1,7 +1,5 @@
 """`hil mock`, `hil doctor`, `hil plugins`: the bench itself."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import Annotated

@@ -1,7 +1,5 @@
 """`hil try-out`: what a model is worth to a controller, on a simulated arm."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -75,7 +73,7 @@ def try_out(
     _require_met(trial)
 
 
-def _print(trial: Trial, report: Path) -> None:
+def _print(trial: "Trial", report: Path) -> None:
     """Where everything is, and what a reader must know; all tables are on the page."""
     from hil.control import found
 
@@ -88,7 +86,7 @@ def _print(trial: Trial, report: Path) -> None:
         typer.echo(fold(text, width))
 
 
-def _require_met(trial: Trial) -> None:
+def _require_met(trial: "Trial") -> None:
     """End with the exit code of a bad result when the model missed a criterion.
 
     Raises:
