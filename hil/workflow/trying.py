@@ -53,11 +53,7 @@ def try_out(
             f"the seed is {number}, but must be 0 to {MOST_SEED}", hint="choose another --seed"
         )
     place = trial_place(path_of(model), path_of(station) if station else None, robot, load)
-    trial = run_trial(place, number, friction_share, progress or _unheard)
+    trial = run_trial(place, number, friction_share, progress or (lambda text: None))
     document = json_bytes(trial.to_dict()).decode()
     write_folder({TRY_OUT_FILE: page_html(trial_page(trial)), "try-out.json": document}, folder)
     return trial
-
-
-def _unheard(text: str) -> None:
-    """Report to nobody."""

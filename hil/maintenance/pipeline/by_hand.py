@@ -69,7 +69,7 @@ def reidentify(
         )
     job: Job = "campaign" if campaign or bound.probe is None else "probe"
     home = of_schedule / BY_HAND
-    report = tell or _unheard
+    report = tell or (lambda text: None)
     work = reidentification(
         bound.spec, registry=Registry(path_of(registry)), runs=path_of(runs), station=at,
         observers=observers, confirm=confirm, tell=lambda stage: report(f"stage: {stage}"),
@@ -80,10 +80,6 @@ def reidentify(
             report(f"going on with {home / occasion.id}")
         occasion = occasion or _new(home, job)
         return dict(work(occasion, home / occasion.id)) | {"folder": str(home / occasion.id)}
-
-
-def _unheard(text: str) -> None:
-    """Report to nobody."""
 
 
 def _new(home: Path, job: Job) -> Occasion:
