@@ -27,10 +27,8 @@ from threadpoolctl import threadpool_limits
 from benchmarks.excite_peers.pivoted import pivoted_base
 from benchmarks.excite_peers.slsqp import Slsqp
 from hil.dynamics import CollisionModel, Environment, RobotModel, conditioning
-from hil.excitation.optimiser import ExcitationProblem, optimise
-from hil.excitation.optimiser.draw import within_linear_limits
-from hil.excitation.optimiser.linear_limits import LinearLimits
-from hil.excitation.optimiser.margins import margins_of
+from hil.excitation.optimiser import optimise, within_linear_limits
+from hil.excitation.problem import ExcitationProblem, LinearLimits, margins_of
 
 ARM = "ur5"
 SPEED, ACCELERATION = 2.0, 6.0

@@ -12,14 +12,12 @@ from plan_parts import JointSpace, toy_workspace
 from hil.arms.payload import Payload
 from hil.dynamics import RobotModel
 from hil.excitation.cache import ExcitationCache
-from hil.excitation.coefficients import fitting_frequency
-from hil.excitation.fourier import FourierExcitation
+from hil.excitation.fourier import FourierExcitation, Question, fitting_frequency
 from hil.excitation.motion import FourierSeries
-from hil.excitation.optimiser import ExcitationProblem
-from hil.excitation.poses import roomy_poses
-from hil.excitation.question import Question
+from hil.excitation.problem import ExcitationProblem
+from hil.excitation.program import Advance, Setting
 from hil.excitation.roadmap import Roadmap
-from hil.excitation.setting import Advance, Setting
+from hil.excitation.workspace import roomy_poses
 from hil.spec.experiment import Fourier
 
 WORKSPACE = toy_workspace(n=6)
@@ -100,7 +98,7 @@ def asked(number: int = 1, **optimise: Any) -> Fourier:
 @pytest.fixture
 def finder(monkeypatch: pytest.MonkeyPatch) -> Finder:
     finder = Finder()
-    monkeypatch.setattr("hil.excitation.optimised.optimise", finder)
+    monkeypatch.setattr("hil.excitation.fourier.optimise", finder)
     return finder
 
 

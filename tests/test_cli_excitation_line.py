@@ -7,7 +7,7 @@ from terminal_parts import terminal_on
 
 from hil.cli.excitation_line import ExcitationLine
 from hil.cli.progress import ProgressLines
-from hil.excitation.setting import Advance
+from hil.excitation.program import Advance
 
 pytestmark = pytest.mark.quick
 

@@ -51,7 +51,7 @@ def test_what_was_found_before_an_interruption_is_not_lost(
         return bench.finder(problem, **asked)
 
     with monkeypatch.context() as patched:
-        patched.setattr("hil.excitation.optimised.optimise", interrupted)
+        patched.setattr("hil.excitation.fourier.optimise", interrupted)
         with pytest.raises(KeyboardInterrupt):
             bench.trajectories(2)
     bench.trajectories(2)

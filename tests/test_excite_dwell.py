@@ -11,14 +11,12 @@ from plan_parts import DEGREE, toy_workspace
 
 from hil.core.errors import PlanError, SpecError
 from hil.core.typing import FloatArray
-from hil.excitation.arrange import Arrangement
-from hil.excitation.dwell import DwellProgram
+from hil.excitation.dwell import AngleUnit, DwellProgram, read_waypoints
 from hil.excitation.motion import Hold, Line
-from hil.excitation.poses import roomy_poses
+from hil.excitation.program import Action, Program, Visit, pose_visit
 from hil.excitation.roadmap import Roadmap
-from hil.excitation.visit import Action, Program, Visit, pose_visit
-from hil.excitation.waypoint_file import AngleUnit, read_waypoints
-from hil.excitation.workspace import Workspace
+from hil.excitation.sequencing import Arrangement
+from hil.excitation.workspace import Workspace, roomy_poses
 from hil.spec.experiment import Dwell
 
 

@@ -12,12 +12,10 @@ from plan_parts import DEGREE, toy_workspace
 
 from hil.core.errors import PlanError
 from hil.core.typing import FloatArray
-from hil.excitation.coefficients import fitting_frequency
-from hil.excitation.fourier import FourierExcitation
+from hil.excitation.fourier import FourierExcitation, fitting_frequency
 from hil.excitation.motion import Motion
-from hil.excitation.poses import roomy_poses
 from hil.excitation.roadmap import Roadmap
-from hil.excitation.workspace import Workspace
+from hil.excitation.workspace import Workspace, roomy_poses
 from hil.spec.experiment import Fourier
 
 pytestmark = pytest.mark.quick

@@ -15,8 +15,7 @@ from hypothesis import strategies as st
 
 from hil.core.errors import PlanError
 from hil.core.typing import FloatArray
-from hil.excitation.motion import FourierSeries, Hold, Line, Motion, motion_from_dict
-from hil.excitation.profile import rest_to_rest
+from hil.excitation.motion import FourierSeries, Hold, Line, Motion, motion_from_dict, rest_to_rest
 
 RATE = 125.0
 relaxed = settings(max_examples=30, deadline=None)

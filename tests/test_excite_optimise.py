@@ -12,11 +12,13 @@ from hil.core.errors import PlanError
 from hil.core.typing import FloatArray
 from hil.dynamics import CollisionModel, Environment, Plane, RobotModel, conditioning
 from hil.excitation.motion import FourierSeries
-from hil.excitation.optimiser import ExcitationProblem, Optimised, Progress, optimise
-from hil.excitation.optimiser.draw import within_linear_limits
-from hil.excitation.optimiser.linear_limits import LinearLimits
-from hil.excitation.optimiser.motion_limits import MotionLimits
-from hil.excitation.optimiser.objective import ValueOf
+from hil.excitation.optimiser import (
+    Optimised,
+    Progress,
+    optimise,
+    within_linear_limits,
+)
+from hil.excitation.problem import ExcitationProblem, LinearLimits, MotionLimits, ValueOf
 
 ROBOT = RobotModel.from_arm("ur5")
 SPEED, ACCELERATION = 2.0, 6.0

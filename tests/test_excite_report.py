@@ -18,9 +18,8 @@ from hil.cli.app import app
 from hil.core.errors import SpecError
 from hil.dynamics import RobotModel, base_parameters
 from hil.dynamics.build import model_from_arm
-from hil.excitation.appraisal import jerk_of
-from hil.excitation.information import Information
 from hil.excitation.motion import FourierSeries
+from hil.excitation.quality import Information, jerk_of
 from hil.planning.excitation_report import ExcitationReport
 from hil.report.excite_page import excitation_page
 from hil.workflow.excitation import appraise_excitation

@@ -10,9 +10,8 @@ from plan_parts import JointSpace, toy_workspace
 
 from hil.core.errors import PlanError
 from hil.core.typing import FloatArray
-from hil.excitation.poses import draw_poses, roomy_poses
 from hil.excitation.roadmap import Roadmap
-from hil.excitation.workspace import Workspace
+from hil.excitation.workspace import Workspace, draw_poses, roomy_poses
 
 
 def disc(q: FloatArray) -> FloatArray:

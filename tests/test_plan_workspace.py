@@ -14,11 +14,10 @@ from plan_parts import plan_of, spec_of, toy_workspace, ur5
 from hil.core.errors import HilError, PlanError, SpecError
 from hil.core.typing import FloatArray
 from hil.dynamics import RobotModel
-from hil.excitation.arrange import Arrangement
-from hil.excitation.poses import roomy_poses
+from hil.excitation.program import Program, pose_visit
 from hil.excitation.roadmap import Roadmap
-from hil.excitation.visit import Program, pose_visit
-from hil.excitation.workspace import Workspace
+from hil.excitation.sequencing import Arrangement
+from hil.excitation.workspace import Workspace, roomy_poses
 from hil.planning.approach import Approach
 from hil.planning.build import build_plan
 from hil.planning.place import checked_start, roadmap_of

@@ -14,7 +14,7 @@ from web_parts import dashboard
 
 from hil.core.errors import SpecError
 from hil.dashboard.given_files import FILE_KEYS
-from hil.excitation.waypoint_file import MOST_QUOTED, read_waypoints
+from hil.excitation.dwell import MOST_QUOTED, read_waypoints
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.model_tree import tree
 

@@ -1,37 +1,35 @@
-"""Fourier excitation: random feasible series per eq. 29 of the PINN paper, best of a few kept.
+"""Fourier excitation: several trajectories of eq. 29 of the PINN paper, drawn or optimised.
 
-Each joint's series is drawn at random, made to rest at both ends, scaled to whatever limit binds
-first, and shrunk towards its centre until the arm keeps its distance at every sample. A spec that
-says `optimise` gets series from `hil.excitation.optimised` instead.
+Drawn: each joint's series is random, made to rest at both ends, scaled to whatever limit binds
+first, and shrunk towards its centre until the arm keeps its distance at every sample; the best
+conditioned of a few is kept.
+
+Optimised (`optimise` in the spec): one trajectory after the other, each to complement those before
+it. The information of the trajectories found so far is given to the next search, so condition
+number and determinant are those of all of them together. Any first few of them are as good as so
+many can be made in this way, which is why asking for more goes on from those in the cache.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
-from dataclasses import replace
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from hil.core import FloatArray, PlanError
-from hil.excitation.coefficients import (
-    POINTS_PER_HARMONIC,
-    SHRINKAGE,
-    Coefficients,
-    about_zero,
-    coarse_scales,
-    extent,
-    fitting_frequency,
-)
+from hil.core import FloatArray, PlanError, RecordingError
+from hil.excitation.cache import DamagedEntry, digest
 from hil.excitation.motion import FourierSeries
-from hil.excitation.optimised import OptimisedSeries
-from hil.excitation.question import Question
+from hil.excitation.optimiser import Progress, optimise
+from hil.excitation.problem import ExcitationProblem
+from hil.excitation.program import Action, Advance, Program, Setting, Visit
 from hil.excitation.roadmap import Roadmap
-from hil.excitation.setting import Setting
-from hil.excitation.visit import Action, Program, Visit
 from hil.excitation.workspace import Workspace
-from hil.spec import Fourier
+from hil.spec import Fourier, Optimise
 
 CANDIDATES = 6
 """Feasible draws among which the best conditioned one is kept."""
@@ -40,9 +38,18 @@ MOST_DRAWS = 200
 
 SMALLEST = 0.1
 """Share of its limits that a motion is drawn with at least where the flange is confined."""
+
 DRAWS_AT_ONCE = 12
+
 SCORED = 100
 """Samples the condition number is computed from; enough for ranking (facts measured on a UR5)."""
+
+SHRINKAGE = np.array([1.0, 0.8, 0.64, 0.5, 0.4, 0.3])
+"""Tried from the largest: small motions excite little."""
+
+POINTS_PER_HARMONIC = 256
+"""Grid for peaks; a trigonometric polynomial of degree H on m·H points exceeds its largest value
+there by a factor of 1/cos(π/m) at most (Ehlich and Zeller 1964)."""
 
 
 class FourierExcitation:
@@ -164,6 +171,13 @@ class FourierExcitation:
         return smallest[:, None]
 
 
+def _score(workspace: Workspace, series: FourierSeries) -> float:
+    if workspace.condition is None:
+        return 0.0
+    period = replace(series, periods=1).sample(SCORED * series.fundamental_hz)
+    return workspace.condition(period.q, period.qd, period.qdd)
+
+
 def _shares(workspace: Workspace) -> Iterator[float | None]:
     """Yield, for each lot of draws, the share of the limits they are scaled to; None for all.
 
@@ -181,8 +195,315 @@ def _is_possible(roadmap: Roadmap, series: FourierSeries) -> bool:
     return reachable and roadmap.workspace.are_clear([series])
 
 
-def _score(workspace: Workspace, series: FourierSeries) -> float:
-    if workspace.condition is None:
-        return 0.0
-    period = replace(series, periods=1).sample(SCORED * series.fundamental_hz)
-    return workspace.condition(period.q, period.qd, period.qdd)
+COARSE = 64
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Coefficients:
+    """Series about zero: `a` and `b`, each (n, H) in rad/s, at rest at both ends."""
+
+    a: FloatArray
+    b: FloatArray
+
+    def about(self, q0: FloatArray, scale: float, spec: Fourier, f_hz: float) -> FourierSeries:
+        """The motion about `q0` (n,), everything multiplied by `scale`."""
+        a, b = (_rows(scale * self.a), _rows(scale * self.b))
+        return FourierSeries(tuple(map(float, q0)), a, b, f_hz, spec.periods)
+
+
+def _rows(matrix: FloatArray) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(map(float, row)) for row in matrix)
+
+
+def fitting_frequency(spec: Fourier, rate_hz: float) -> float:
+    """The fundamental, lowered so that the trajectory ends on a sample [Hz]."""
+    samples = int(np.ceil(spec.periods * rate_hz / spec.fundamental_hz - 1e-9))
+    return spec.periods * rate_hz / samples
+
+
+def about_zero(
+    a: FloatArray, b: FloatArray, f_hz: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """One period of q − q₀, qd and qdd, each (POINTS_PER_HARMONIC·H, n)."""
+    zero = tuple(0.0 for _ in a)
+    samples = FourierSeries(zero, _rows(a), _rows(b), f_hz).sample(
+        POINTS_PER_HARMONIC * a.shape[1] * f_hz
+    )
+    return samples.q, samples.qd, samples.qdd
+
+
+def extent(a: FloatArray, b: FloatArray, f_hz: float) -> tuple[FloatArray, FloatArray]:
+    """(n,) least and (n,) most that q − q₀ ever is."""
+    q, _, _ = about_zero(a, b, f_hz)
+    beyond = np.abs(q).max(axis=0) * (1 / np.cos(np.pi / POINTS_PER_HARMONIC) - 1)
+    return q.min(axis=0) - beyond, q.max(axis=0) + beyond
+
+
+def coarse_scales(
+    workspace: Workspace, drawn: list[tuple[Coefficients, FloatArray]], f_hz: float
+) -> Sequence[float]:
+    """For each draw the largest shrinkage that is clear on a coarse grid, 0 for none."""
+    shapes = np.stack(
+        [
+            about_zero(c.a, c.b, f_hz)[0][:: POINTS_PER_HARMONIC * c.a.shape[1] // COARSE]
+            for c, _ in drawn
+        ]
+    )
+    centres = np.stack([q0 for _, q0 in drawn])
+    q = centres[:, None, None] + SHRINKAGE[:, None, None] * shapes[:, None]
+    draws, scales, points, n = q.shape
+    clear = workspace.is_clear(q.reshape(-1, n)).reshape(draws, scales, points)
+    largest: FloatArray = np.where(clear.all(axis=2), SHRINKAGE, 0.0).max(axis=1)
+    return [float(scale) for scale in largest]
+
+
+ATTEMPTS = 3
+"""Searches for one trajectory: a motion may be clear in itself and still be out of reach."""
+
+SCALES = (1.0, 0.99, 0.95, 0.9, 0.8)
+"""Tried from the largest, should a motion not be clear at the robot's own samples."""
+
+TOLERANCE = 1e-9
+"""Like that of a plan's margins."""
+
+ANSWERS = 2
+"""Raised whenever the same question gets another answer than before."""
+
+TOLERANCE_M = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Question:
+    """What is asked of the trajectories of a spec in a workspace.
+
+    Attributes:
+        spec: Of the excitation; its `optimise` is given.
+        workspace: Where the arm may be.
+        setting: The robot.
+        f_hz: Fundamental that ends trajectories on a sample.
+    """
+
+    spec: Fourier
+    workspace: Workspace
+    setting: Setting
+    f_hz: float
+
+    @property
+    def asked(self) -> Optimise:
+        """How to optimise."""
+        assert self.spec.optimise is not None
+        return self.spec.optimise
+
+    @property
+    def key(self) -> str:
+        """A hash of everything the trajectories depend on but how many they are."""
+        return digest(self._facts())
+
+    def _facts(self) -> dict[str, Any]:
+        workspace, asked = self.workspace, self.asked.model_dump(mode="json")
+        return {
+            "answers": ANSWERS,
+            "optimise": asked | {"seed": self.seed},
+            "series": [self.spec.harmonics, self.f_hz, self.spec.periods],
+            "limits": [
+                workspace.velocity,
+                workspace.acceleration,
+                self.clearance_m,
+                *(each.tolist() for each in (workspace.low, workspace.high)),
+                *(each.tolist() for each in (workspace.q_min, workspace.q_max)),
+                self.setting.effort_max.tolist(),
+            ],
+            "rate_hz": workspace.rate_hz,
+            "robot": self.setting.robot.to_dict(),
+            "parameters": self.setting.robot.parameters().tolist(),
+            "heaviest": repr(self.setting.heaviest),
+            "place": dict(self.setting.identity),
+        }
+
+    @property
+    def seed(self) -> int:
+        """Of the search."""
+        return self.spec.seed if self.asked.seed is None else self.asked.seed
+
+    @property
+    def clearance_m(self) -> float:
+        """Distance that is kept [m].
+
+        Raises:
+            PlanError: It is less than the station's.
+        """
+        station = self.workspace.clearance_m
+        if self.asked.clearance_mm is None:
+            return station
+        if 1e-3 * self.asked.clearance_mm < station - TOLERANCE_M:
+            raise PlanError(
+                f"excitation.optimise.clearance_mm: {self.asked.clearance_mm:g} mm is less than "
+                f"the {1e3 * station:g} mm that the station asks for",
+                hint="leave it out, or lower surroundings.clearance_m of the station's robot",
+            )
+        return 1e-3 * self.asked.clearance_mm
+
+    def problem(self, found: Sequence[FourierSeries]) -> ExcitationProblem:
+        """What the trajectory after those `found` has to be."""
+        workspace, asked = self.workspace, self.asked
+        jerk = asked.max_jerk_deg_s3
+        problem = ExcitationProblem(
+            robot=self.setting.robot.with_payload(self.setting.heaviest),
+            q_min=workspace.low,
+            q_max=workspace.high,
+            qd_max=workspace.velocity,
+            qdd_max=workspace.acceleration,
+            jerk_max=None if jerk is None else float(np.radians(jerk)),
+            effort_max=asked.torque_percent / 100 * self.setting.effort_max,
+            harmonics=self.spec.harmonics,
+            fundamental_hz=self.f_hz,
+            periods=self.spec.periods,
+            objective=asked.objective,
+            scaled=asked.scaled,
+            rotor=asked.rotor,
+            friction=asked.friction,
+            collision=self.setting.collision,
+            space=workspace.space,
+            clearance_m=self.clearance_m,
+        )
+        return problem.after(*found) if found else problem
+
+
+@dataclass(eq=False)
+class OptimisedSeries:
+    """The answers to a question.
+
+    Attributes:
+        question: What is asked.
+        roadmap: How to get about.
+    """
+
+    question: Question
+    roadmap: Roadmap
+    _began: float = 0.0
+    _took_s: list[float] = field(default_factory=list)
+
+    def all(self) -> list[FourierSeries]:
+        """As many as the spec asks for, from the cache as far as it has them.
+
+        Raises:
+            PlanError: No motion within all limits was found.
+        """
+        wanted, key = self.question.spec.trajectories, self.question.key
+        found = self._kept(key)
+        for _ in range(len(found), wanted):
+            self._began = time.monotonic()
+            found.append(self._next(found))
+            self._took_s.append(time.monotonic() - self._began)
+            self._keep(key, found)
+        return found[:wanted]
+
+    def _next(self, found: Sequence[FourierSeries]) -> FourierSeries:
+        """The next trajectory.
+
+        Raises:
+            PlanError: None is found.
+        """
+        number, problem = len(found) + 1, self.question.problem(found)
+        if self.roadmap.workspace.space is not None:
+            # Few poses of the joint ranges are inside the space; those of the roadmap are.
+            problem = replace(problem, centres=self.roadmap.poses)
+        failure = PlanError(
+            f"trajectory {number}: {ATTEMPTS} optimised motions keep their limits, but the arm "
+            "cannot get to where they begin without coming too close to something",
+            hint="raise excitation.optimise.starts, or set excitation.range_deg where there is "
+            "room",
+        )
+        for attempt in range(ATTEMPTS):
+            try:
+                best = self._search(problem, number, attempt)
+            except PlanError as error:
+                failure = PlanError(f"trajectory {number}: {error.message}", hint=error.hint)
+                continue
+            for scale in SCALES:
+                if self._is_possible(series := scaled(best, scale)):
+                    return series
+        raise failure
+
+    def _search(self, problem: ExcitationProblem, number: int, attempt: int) -> FourierSeries:
+        """The best motion of one search.
+
+        Raises:
+            PlanError: It found none within all limits.
+        """
+        seeds = np.random.SeedSequence([self.question.seed, number, attempt])
+        return optimise(
+            problem,
+            starts=self.question.asked.starts,
+            seed=int(seeds.generate_state(1)[0]),
+            progress=lambda progress: self._tell(number, progress),
+            cpu_s=self.question.asked.budget_s,
+        ).series
+
+    def _is_possible(self, series: FourierSeries) -> bool:
+        """Whether it keeps its limits at the robot's own samples, is clear and can be reached."""
+        workspace = self.roadmap.workspace
+        return (
+            _is_within(workspace, series)
+            and bool(workspace.depths([series])[0] >= self.question.clearance_m - TOLERANCE)
+            and bool(workspace.clearances([series])[0] >= self.question.clearance_m - TOLERANCE)
+            and self.roadmap.way(self.roadmap.home, series.q_start) is not None
+        )
+
+    def _kept(self, key: str) -> list[FourierSeries]:
+        """What the cache has, as far as it is possible here."""
+        try:
+            kept = self.question.setting.cache.read(key)
+        except DamagedEntry as damage:
+            self.question.setting.watch(
+                Advance(note=f"{damage}; the trajectories are computed again")
+            )
+            return []
+        return list(kept) if all(map(self._is_possible, kept)) else []
+
+    def _keep(self, key: str, found: Sequence[FourierSeries]) -> None:
+        try:
+            self.question.setting.cache.write(key, found)
+        except RecordingError as error:
+            self._note(f"{error.message}; the trajectories will be computed again next time")
+
+    def _note(self, text: str) -> None:
+        self.question.setting.watch(Advance(note=text))
+
+    def _tell(self, number: int, progress: Progress) -> None:
+        asked = self.question.asked
+        best = progress.best if asked.objective == "condition" else float("inf")
+        total, start = self.question.spec.trajectories, progress.start + 1
+        left = self._left_s(total - number, progress.eta_s)
+        self.question.setting.watch(Advance(number, total, start, progress.starts, best, left))
+
+    def _left_s(self, others: int, eta_s: float | None) -> float | None:
+        """Time left for the trajectory at work and `others`; a search tells `eta_s` for its own.
+
+        A search cannot know how soon it converges: those before it are the better measure.
+        """
+        now = time.monotonic()
+        if not self._took_s:
+            return None if eta_s is None else (now - self._began + eta_s) * others + eta_s
+        each = sum(self._took_s) / len(self._took_s)
+        own = max(each - (now - self._began), 0.1 * each)
+        return each * others + (own if eta_s is None else min(own, eta_s))
+
+
+def _is_within(workspace: Workspace, series: FourierSeries) -> bool:
+    samples = series.sample(workspace.rate_hz)
+    return bool(
+        np.abs(samples.qd).max() <= workspace.velocity + TOLERANCE
+        and np.abs(samples.qdd).max() <= workspace.acceleration + TOLERANCE
+        and np.all(samples.q >= workspace.low - TOLERANCE)
+        and np.all(samples.q <= workspace.high + TOLERANCE)
+    )
+
+
+def scaled(series: FourierSeries, scale: float) -> FourierSeries:
+    """The same motion about its centre, everything multiplied by `scale`."""
+    a, b = (
+        tuple(tuple(scale * value for value in row) for row in rows)
+        for rows in (series.a, series.b)
+    )
+    return replace(series, a=a, b=b)

@@ -1,8 +1,8 @@
-"""Motions as parameters: what a plan stores and a robot is given samples of.
+"""Motions of the joints: lines, Fourier series and stays at a pose, sampled by numpy.
 
-Three kinds suffice: a straight line in joint space from rest to rest, a finite Fourier series,
-and standing still. `sample` is a pure function, so plan, preview, collision check and execution
-see the same set-points.
+A straight line in joint space needs one scalar profile only, the distance covered by the joint
+that has furthest to go. ruckig computes it as one degree of freedom from rest to rest, and never
+with intermediate positions: those would be sent to a server on the internet.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from typing import Any, Protocol
 import numpy as np
 
 from hil.core import FloatArray, PlanError
-from hil.excitation.profile import Profile, rest_to_rest
 
 STANDSTILL_RAD = 1e-9
 """Shorter ways than this are none: ruckig fails on them, and no encoder sees them."""
@@ -138,6 +137,14 @@ class Line:
         return max(1, int(np.ceil(self._profile.duration_s * self.rate_hz - 1e-9)))
 
 
+def _grid(duration_s: float, rate_hz: float) -> FloatArray:
+    """1/rate, 2/rate, …; the last point is `duration_s` itself, whatever the rounding."""
+    n = max(1, int(np.ceil(duration_s * rate_hz - 1e-6)))
+    t = np.arange(1, n + 1) / rate_hz
+    t[-1] = duration_s
+    return t
+
+
 @dataclass(frozen=True, slots=True)
 class FourierSeries:
     """Finite Fourier series per joint, eq. 29 of the PINN paper.
@@ -195,6 +202,16 @@ class FourierSeries:
         }
 
 
+@lru_cache(maxsize=8)
+def _harmonics(
+    fundamental_hz: float, harmonics: int, periods: int, rate_hz: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """i·ω as a column (H, 1), and sin and cos of i·ω·t (N, H): shared by all joints."""
+    omega_i = 2 * np.pi * fundamental_hz * np.arange(1.0, harmonics + 1)[:, None]
+    phase: FloatArray = _grid(periods / fundamental_hz, rate_hz)[:, None] * omega_i.T
+    return omega_i, np.sin(phase), np.cos(phase)
+
+
 @dataclass(frozen=True, slots=True)
 class Hold:
     """Standing still at `q` [rad]; how long is the dwell rule's business."""
@@ -247,19 +264,74 @@ def motion_from_dict(raw: dict[str, Any]) -> Motion:
     )
 
 
-def _grid(duration_s: float, rate_hz: float) -> FloatArray:
-    """1/rate, 2/rate, …; the last point is `duration_s` itself, whatever the rounding."""
-    n = max(1, int(np.ceil(duration_s * rate_hz - 1e-6)))
-    t = np.arange(1, n + 1) / rate_hz
-    t[-1] = duration_s
-    return t
+LONGEST_S = 7600.0
+"""Ruckig warrants its precision up to here."""
 
 
-@lru_cache(maxsize=8)
-def _harmonics(
-    fundamental_hz: float, harmonics: int, periods: int, rate_hz: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """i·ω as a column (H, 1), and sin and cos of i·ω·t (N, H): shared by all joints."""
-    omega_i = 2 * np.pi * fundamental_hz * np.arange(1.0, harmonics + 1)[:, None]
-    phase: FloatArray = _grid(periods / fundamental_hz, rate_hz)[:, None] * omega_i.T
-    return omega_i, np.sin(phase), np.cos(phase)
+@dataclass(frozen=True, slots=True, eq=False)
+class Profile:
+    """Seven phases of constant jerk.
+
+    Attributes:
+        t: (7,) times at which the phases begin [s].
+        duration_s: Time at which the last phase ends.
+        coefficients: (7, 4) position, velocity, half acceleration and a sixth of the jerk at the
+            beginning of each phase.
+    """
+
+    t: FloatArray
+    duration_s: float
+    coefficients: FloatArray
+
+    def at(self, t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Position, velocity and acceleration, each (N,), at `t` (N,) within [0, duration]."""
+        phase = np.searchsorted(self.t, t, side="right") - 1
+        dt = t - self.t[phase]
+        p, v, a, j = self.coefficients[phase].T
+        return (
+            p + dt * (v + dt * (a + dt * j)),
+            v + dt * (2 * a + dt * 3 * j),
+            2 * a + 6 * dt * j,
+        )
+
+
+@lru_cache(maxsize=8192)
+def rest_to_rest(distance: float, velocity: float, acceleration: float, jerk: float) -> Profile:
+    """The fastest profile from 0 to `distance` > 0 within the three limits (any one unit).
+
+    Raises:
+        PlanError: Ruckig finds no profile, for example because a limit is extreme.
+    """
+    import ruckig
+
+    wanted = ruckig.InputParameter(1)
+    wanted.current_position, wanted.target_position = [0.0], [distance]
+    wanted.max_velocity, wanted.max_acceleration = [velocity], [acceleration]
+    wanted.max_jerk = [jerk]
+    wanted.synchronization = ruckig.Synchronization.Phase
+    wanted.duration_discretization = ruckig.DurationDiscretization.Continuous
+    found = ruckig.Trajectory(1)
+    try:
+        result = str(ruckig.Ruckig(1).calculate(wanted, found))
+    except ruckig.RuckigError as error:
+        result = str(error).strip().partition(",")[0]
+    if result not in (str(ruckig.Result.Working), str(ruckig.Result.Finished)):
+        raise PlanError(
+            f"no motion over {distance:.3g} rad within {velocity:.3g} rad/s, "
+            f"{acceleration:.3g} rad/s², {jerk:.3g} rad/s³: {result}",
+            hint="use limits within a few orders of magnitude of each other",
+        )
+    if found.duration > LONGEST_S:
+        raise PlanError(
+            f"a motion over {distance:.3g} rad would take {found.duration:.0f} s",
+            hint="raise excitation.max_velocity_deg_s or excitation.max_acceleration_deg_s2",
+        )
+    return _from_ruckig(found)
+
+
+def _from_ruckig(found: object) -> Profile:
+    phases = found.profiles[0][0]  # type: ignore[attr-defined]
+    columns = (phases.p[:7], phases.v[:7], phases.a[:7], phases.j)
+    scale = np.array([1.0, 1.0, 0.5, 1 / 6])
+    ends = np.cumsum(phases.t)
+    return Profile(np.concatenate(([0.0], ends[:-1])), float(ends[-1]), np.array(columns).T * scale)

@@ -1,4 +1,4 @@
-"""From visits to one connected sequence of actions: order, ways between, warm-up, references."""
+"""Make one connected sequence of actions of visits: order, ways between, warm-up, references."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 
 from hil.core import FloatArray, PlanError
 from hil.excitation.motion import STANDSTILL_RAD, Line
+from hil.excitation.program import Action, Program, Visit
 from hil.excitation.roadmap import Roadmap
-from hil.excitation.visit import Action, Program, Visit
 from hil.excitation.workspace import Workspace
 
 LOOK_AHEAD = 3
@@ -186,10 +186,8 @@ class Arrangement:
         return lines[found], int(order[found])
 
 
-def _group(lines: Sequence[Line], visit: Visit) -> list[Action]:
-    """The way to a visit and the visit; a run can be resumed where the group begins."""
-    group = [*_moves(lines), *visit.actions]
-    return [replace(group[0], checkpoint=True), *group[1:]]
+def _degrees(q: FloatArray) -> str:
+    return f"({', '.join(f'{angle:.1f}' for angle in np.degrees(q))})°"
 
 
 def _moves(lines: Sequence[Line]) -> list[Action]:
@@ -208,5 +206,7 @@ def _by_distance(visits: Sequence[Visit], here: FloatArray) -> list[Visit]:
     return sorted(visits, key=lambda visit: float(np.abs(visit.entry - here).max()))
 
 
-def _degrees(q: FloatArray) -> str:
-    return f"({', '.join(f'{angle:.1f}' for angle in np.degrees(q))})°"
+def _group(lines: Sequence[Line], visit: Visit) -> list[Action]:
+    """The way to a visit and the visit; a run can be resumed where the group begins."""
+    group = [*_moves(lines), *visit.actions]
+    return [replace(group[0], checkpoint=True), *group[1:]]
