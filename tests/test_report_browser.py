@@ -26,6 +26,19 @@ def test_the_plots_near_the_top_are_drawn(tmp_path):
 
 @pytest.mark.wire
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed (apt-get install chromium)")
+def test_a_browser_that_cannot_unpack_the_library_says_so(tmp_path):
+    page = render_report(write_run(tmp_path, fourier_plan()).path)
+    without = page.read_text("utf-8").replace(
+        "<head>", "<head><script>DecompressionStream = 0</script>"
+    )
+    page.write_text(without, "utf-8")
+    seen = dom(page, tmp_path)
+    assert '<p class="lead" id="no-plots">The plots of this page need a browser of 2023' in seen
+    assert 'class="main-svg"' not in seen
+
+
+@pytest.mark.wire
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed (apt-get install chromium)")
 def test_every_name_of_the_contents_can_be_seen_on_a_laptop(tmp_path):
     titles = [f"Study: one of {i} with a title that is as long as titles are" for i in range(6)]
     sections = tuple(Section(f"s{i}", title) for i, title in enumerate(titles))

@@ -96,7 +96,7 @@ def test_uncertainty_of_a_long_line_is_drawn_as_its_edges() -> None:
 
 
 def test_a_page_with_a_hundred_large_panels_stays_light() -> None:
-    """Twenty figures of six panels, two series of 6500 points each; plotly itself is 5 MB."""
+    """Twenty figures of six panels, two series of 6500 points each; plotly itself is 2 MB."""
     x = np.arange(6500.0)
     y = np.sin(x / 100)
     both = (curve("measured", x, y), curve("estimated", x, y, "points"))
@@ -104,7 +104,7 @@ def test_a_page_with_a_hundred_large_panels_stays_light() -> None:
     figures = [Figure(f"fig-{i}", "Many", "", panels) for i in range(20)]
     sections = tuple(study_sections([result(*figures)]))
     page = Page("many", "", Badge("PASSED", "pass"), "", sections=sections)
-    assert len(page_html(page).encode()) < 9e6
+    assert len(page_html(page).encode()) < 6e6
 
 
 def test_numbers_of_a_column_have_equally_many_decimals_where_they_can() -> None:

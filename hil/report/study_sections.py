@@ -22,7 +22,7 @@ from hil.studies import Part, StudyResult
 from hil.studies import Table as StudyTable
 
 MOST_POINTS = 150_000
-"""Of all series of a page together: about 2 MB, beside 5 MB of the plotting library."""
+"""Of all series of a page together: about 2 MB, beside 2 MB of the plotting library."""
 FEWEST, ENOUGH = 100, 1200
 """Points of one series: never fewer, and more than these no plot of the page can show."""
 
