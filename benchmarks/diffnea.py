@@ -20,12 +20,12 @@ from threadpoolctl import threadpool_limits
 
 from hil.core.typing import FloatArray
 from hil.dynamics import RobotModel, base_parameters
-from hil.estimators.compress import upper_triangle
 from hil.estimators.diffnea.bodies import Bodies
 from hil.estimators.diffnea.forms import FORMS, spread
 from hil.estimators.diffnea.motion import ArmMotion, sign_of
 from hil.estimators.diffnea.problem import Problem
 from hil.estimators.diffnea.unknowns import Unknowns, folding
+from hil.estimators.least_squares import upper_triangle
 
 SAMPLES, QUICK_SAMPLES = 12_000, 1_000
 ITERATIONS, QUICK_ITERATIONS = 1_000, 100

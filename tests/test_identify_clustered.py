@@ -5,8 +5,8 @@ import pytest
 import statsmodels.api as sm
 from sklearn.utils.estimator_checks import check_estimator
 
-from hil.estimators.clustered import ClusteredLeastSquares
-from hil.estimators.instruments import instrumental
+from hil.estimators.least_squares import instrumental
+from hil.estimators.regression import ClusteredLeastSquares
 
 
 @pytest.fixture(scope="module")

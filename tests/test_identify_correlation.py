@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hil.data.filters import zero_phase
-from hil.estimators.correlation import correlated_samples
+from hil.estimators.covariance import correlated_samples
 
 
 def autoregressive(phi, samples, seed):

@@ -10,7 +10,6 @@ from synthetic_motion import nominal
 from hil.core.typing import FloatArray
 from hil.dynamics import base_parameters
 from hil.dynamics.physical_consistency import divergence, is_consistent
-from hil.estimators.compress import JointwiseQR
 from hil.estimators.diffnea.bodies import Bodies
 from hil.estimators.diffnea.forms import FORMS, spread
 from hil.estimators.diffnea.minimise import Local, minimise
@@ -20,6 +19,7 @@ from hil.estimators.diffnea.problem import Problem
 from hil.estimators.diffnea.rows import BendingRows
 from hil.estimators.diffnea.unknowns import Unknowns, folding
 from hil.estimators.friction.memory import dahl_slopes, dahl_states
+from hil.estimators.least_squares import JointwiseQR
 
 BENDING = [name for name, form in FORMS.items() if form.shapes]
 BASE = base_parameters(nominal(), rotor=True)

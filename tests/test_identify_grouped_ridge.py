@@ -5,7 +5,7 @@ import pytest
 from sklearn.linear_model import Ridge
 from sklearn.model_selection import GridSearchCV, GroupKFold
 
-from hil.estimators.grouped_ridge import FARTHEST, FOLDS, PENALTIES, GroupedRidge
+from hil.estimators.least_squares import FARTHEST, FOLDS, GROUP_PENALTIES, GroupedRidge
 
 
 def problem(noise=0.3, seed=0, groups=60, features=12):
@@ -35,7 +35,7 @@ def test_the_penalty_is_the_one_a_grouped_grid_search_chooses(noise) -> None:
     ours = GroupedRidge.fit(X, y, groups)
     search = GridSearchCV(
         Ridge(fit_intercept=False),
-        {"alpha": PENALTIES},
+        {"alpha": GROUP_PENALTIES},
         cv=GroupKFold(FOLDS, shuffle=True, random_state=4),
         scoring="neg_mean_squared_error",
     )
@@ -102,5 +102,5 @@ def test_inputs_far_outside_of_training_count_as_no_farther() -> None:
 def test_a_single_group_leaves_nothing_to_choose_by_and_nothing_is_corrected() -> None:
     X, y, _ = problem()
     ours = GroupedRidge.fit(X, y, np.zeros(len(y), dtype=np.int64))
-    assert ours.penalty == max(PENALTIES)
+    assert ours.penalty == max(GROUP_PENALTIES)
     assert np.max(np.abs(ours.predict(X))) < 1e-3 * np.max(np.abs(y))

@@ -5,8 +5,8 @@ import pytest
 from sklearn.linear_model import LinearRegression
 from sklearn.utils.estimator_checks import check_estimator
 
-from hil.estimators.compress import JointwiseQR
-from hil.estimators.linear import WeightedLeastSquares
+from hil.estimators.least_squares import JointwiseQR
+from hil.estimators.regression import WeightedLeastSquares
 
 
 @pytest.fixture

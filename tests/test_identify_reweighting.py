@@ -5,9 +5,14 @@ import pytest
 import statsmodels.api as sm
 
 from hil.estimators.friction_exponent import best_exponent, power_of_speed
-from hil.estimators.reweighting import Reweighting
-from hil.estimators.robust_loss import influence_slope, robust_scale, robust_weights
-from hil.estimators.robust_rows import RobustRows, gram_root
+from hil.estimators.robust import (
+    Reweighting,
+    RobustRows,
+    gram_root,
+    influence_slope,
+    robust_scale,
+    robust_weights,
+)
 
 NORMS = {"huber": sm.robust.norms.HuberT(), "tukey": sm.robust.norms.TukeyBiweight()}
 

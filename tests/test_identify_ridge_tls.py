@@ -6,8 +6,7 @@ from scipy.optimize import minimize
 from sklearn.linear_model import Ridge as SkRidge
 
 from hil.core.errors import FitError
-from hil.estimators.ridge import GRID, left_out_ridge, ridge
-from hil.estimators.total_least_squares import rough, total_least_squares
+from hil.estimators.least_squares import ALPHAS, left_out_ridge, ridge, rough, total_least_squares
 
 pytestmark = pytest.mark.quick
 
@@ -44,7 +43,7 @@ def test_the_penalty_is_the_one_that_predicts_a_trajectory_left_out_best() -> No
     parts = [hard_to_tell_apart(seed) for seed in range(4)]
     best = left_out_ridge(parts, np.ones(4, bool))
     by_hand = []
-    for alpha in GRID:
+    for alpha in ALPHAS:
         squares = 0.0
         for out in range(4):
             X, y = (
@@ -55,7 +54,7 @@ def test_the_penalty_is_the_one_that_predicts_a_trajectory_left_out_best() -> No
             squares += np.sum((parts[out][0] / length @ fitted.coef_ - parts[out][1]) ** 2)
         by_hand.append(squares)
     assert best.errors == pytest.approx(by_hand, rel=1e-6)
-    assert best.alpha == GRID[int(np.argmin(by_hand))] > 0
+    assert best.alpha == ALPHAS[int(np.argmin(by_hand))] > 0
 
 
 def noisy_line(N=20000, share=0.5):

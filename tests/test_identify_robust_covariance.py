@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import statsmodels.api as sm
 
-from hil.estimators.robust_covariance import (
+from hil.estimators.covariance import (
     Scores,
     hac_covariance,
     hac_window,
@@ -55,7 +55,7 @@ def test_hac_of_several_series_is_the_panel_kind_by_statsmodels(problem) -> None
 
 
 def test_trajectories_as_clusters_are_what_clustered_least_squares_says(problem) -> None:
-    from hil.estimators.clustered import ClusteredLeastSquares
+    from hil.estimators.regression import ClusteredLeastSquares
 
     X, y = problem
     lengths = [50] * 10

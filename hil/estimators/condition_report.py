@@ -10,7 +10,7 @@ import numpy as np
 
 from hil.core import FloatArray
 from hil.dynamics import conditioning
-from hil.estimators.compress import upper_triangle
+from hil.estimators.least_squares import upper_triangle
 
 SHOWN = 3
 """Directions that are told, and parameters named of each."""

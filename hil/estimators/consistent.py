@@ -22,8 +22,8 @@ import numpy as np
 
 from hil.core import FitError, FloatArray, plugins
 from hil.dynamics import BaseParameters
-from hil.estimators.compress import upper_triangle
 from hil.estimators.inertial_bounds import InertialBounds
+from hil.estimators.least_squares import upper_triangle
 from hil.estimators.reference_coordinates import ReferenceCoordinates
 
 LEAST = 1e-3

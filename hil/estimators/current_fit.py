@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from hil.core import FitError, FloatArray, IntArray
-from hil.estimators.clustered import Clustered, ClusterSums, clustered_covariance
-from hil.estimators.linear import WeightedLeastSquares
+from hil.estimators.covariance import Clustered, ClusterSums, clustered_covariance
 from hil.estimators.motor import has_current, nearest_current, slope_at
+from hil.estimators.regression import WeightedLeastSquares
 
 MOST_STEPS = 50
 MOST_HALVINGS = 30

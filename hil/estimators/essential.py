@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from hil.core import FloatArray, IntArray
-from hil.estimators.compress import upper_triangle
+from hil.estimators.least_squares import upper_triangle
 
 LEVEL = 0.05
 """Probability that the test ends the dropping although nothing was lost."""

@@ -27,7 +27,7 @@ from hil.dynamics import RobotModel
 from hil.estimators.checks import require_clean, require_robot
 from hil.estimators.gain_lines import gain_lines, listed
 from hil.estimators.gain_pairs import GainPairs, paired
-from hil.estimators.instruments import instrumental
+from hil.estimators.least_squares import instrumental
 from hil.estimators.plausible import require_plausible
 
 LEAST_POSES = 5

@@ -23,9 +23,9 @@ import numpy as np
 from hil.core import BoolArray, FitError, FloatArray
 from hil.data import Dataset
 from hil.dynamics import friction_terms
-from hil.estimators.blocks import time_blocks
-from hil.estimators.clustered import ClusteredLeastSquares
+from hil.estimators.covariance import time_blocks
 from hil.estimators.gain_lines import gain_lines, listed
+from hil.estimators.regression import ClusteredLeastSquares
 
 NEEDED = ("torque_target", "effort_target", "qd")
 

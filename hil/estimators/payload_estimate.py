@@ -10,7 +10,7 @@ import numpy as np
 from hil.arms import Payload
 from hil.core import FloatArray, card, number
 from hil.data import Prediction
-from hil.estimators.clustered import interval
+from hil.estimators.covariance import interval
 
 NAMES = ("mass", "com_x", "com_y", "com_z", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
 UNITS = ("kg", *3 * ("m",), *6 * ("kg·m²",))

@@ -5,7 +5,7 @@ is what makes that prediction fit: weighted least squares over its ten inertial 
 flange frame, by Gauss–Newton, since friction may depend on the load. Every solution is a body that
 positive masses can make.
 
-Standard errors are those of the sandwich over blocks of time (see `hil.estimators.clustered`): what
+Standard errors are those of the sandwich over blocks of time (`hil.estimators.covariance`): what
 the model does not know about the arm repeats for a while and then changes. The load is the
 difference to an arm that was itself identified, so its variance grows by the share of samples in
 which that was done; this is right for alike motions and too little for a model of poorer ones.
@@ -23,9 +23,14 @@ from hil.core import BoolArray, DataError, FitError, FloatArray, IntArray, SpecE
 from hil.data import Dataset
 from hil.dynamics import payload_parameters
 from hil.estimators.base import RobotEstimator
-from hil.estimators.blocks import time_blocks
 from hil.estimators.checks import require_clean, require_motion
-from hil.estimators.clustered import Clustered, ClusterSums, clustered_covariance, interval
+from hil.estimators.covariance import (
+    Clustered,
+    ClusterSums,
+    clustered_covariance,
+    interval,
+    time_blocks,
+)
 from hil.estimators.load_body import central, central_jacobian, payload_of
 from hil.estimators.payload_estimate import Correction, PayloadEstimate
 from hil.estimators.payload_problem import Friction, Linearised, LoadProblem

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hil.core import FitError, FloatArray, IntArray
-from hil.estimators.compress import upper_triangle
+from hil.estimators.least_squares import upper_triangle
 from hil.estimators.load_body import is_body, nearest_body
 from hil.estimators.payload_problem import Friction, Linearised
 

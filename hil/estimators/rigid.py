@@ -16,8 +16,7 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 from hil.data import FilterSettings
-from hil.estimators.compress import JointwiseQR
-from hil.estimators.jointwise import Solution, jointwise_least_squares
+from hil.estimators.least_squares import JointwiseQR, Solution, jointwise_least_squares
 from hil.estimators.parameters import flag
 from hil.estimators.rigid_linear import RigidLinear
 

@@ -12,20 +12,20 @@ from hil.core import FitError, FloatArray, IntArray
 from hil.data import Dataset, FilterSettings, downsample, filter_columns
 from hil.dynamics import BaseParameters
 from hil.estimators.base import prepared
-from hil.estimators.clustered import interval
 from hil.estimators.condition_report import condition_report
-from hil.estimators.correlation import correlated_samples
-from hil.estimators.essential import essential_parameters
-from hil.estimators.friction_curve import FrictionCurve
-from hil.estimators.jointwise import Solution
-from hil.estimators.parameters import choice, flag
-from hil.estimators.rigid_linear import RigidLinear
-from hil.estimators.robust_covariance import (
+from hil.estimators.covariance import (
     Scores,
+    correlated_samples,
     hac_covariance,
     hac_window,
+    interval,
     trajectory_covariance,
 )
+from hil.estimators.essential import essential_parameters
+from hil.estimators.friction_curve import FrictionCurve
+from hil.estimators.least_squares import Solution
+from hil.estimators.parameters import choice, flag
+from hil.estimators.rigid_linear import RigidLinear
 
 Covariance = Literal["hac", "clustered"]
 COVARIANCES = ("hac", "clustered")

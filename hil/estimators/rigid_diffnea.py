@@ -20,7 +20,6 @@ from hil.arms import Payload
 from hil.core import FloatArray
 from hil.data import Dataset, FilterSettings, Stream
 from hil.estimators.checks import require_sizes
-from hil.estimators.compress import JointwiseQR
 from hil.estimators.diffnea.arm import DiffneaArm
 from hil.estimators.diffnea.bodies import MASS_FACTOR, Bodies
 from hil.estimators.diffnea.carried import DiffneaStream
@@ -28,7 +27,7 @@ from hil.estimators.diffnea.fit import DiffneaFit
 from hil.estimators.diffnea.forms import FORMS
 from hil.estimators.diffnea.unknowns import Unknowns, folding
 from hil.estimators.friction_curve import FrictionCurve, curve_of
-from hil.estimators.jointwise import Solution, jointwise_least_squares
+from hil.estimators.least_squares import JointwiseQR, Solution, jointwise_least_squares
 from hil.estimators.parameters import choice, number
 from hil.estimators.rigid_linear import RigidLinear
 

@@ -15,17 +15,22 @@ import numpy as np
 from hil.core import BoolArray, FloatArray
 from hil.data import Dataset, FilterSettings, filter_columns
 from hil.estimators.checks import require_sizes
-from hil.estimators.compress import JointwiseQR
 from hil.estimators.friction_exponent import best_exponent, power_of_speed
 from hil.estimators.inertial_bounds import MASS_FACTOR, InertialBounds
-from hil.estimators.jointwise import Solution, jointwise_least_squares
+from hil.estimators.least_squares import JointwiseQR, Solution, jointwise_least_squares
 from hil.estimators.parameters import choice, flag, number
-from hil.estimators.reweighting import Reweighted, Reweighting
 from hil.estimators.rigid_classical import Covariance, RigidClassical
 from hil.estimators.rigid_linear import TERMS
 from hil.estimators.rigid_lmi import PRIOR, feasible
-from hil.estimators.robust_loss import LOSSES, Loss, influence_slope, robust_weights
-from hil.estimators.robust_rows import RobustRows
+from hil.estimators.robust import (
+    LOSSES,
+    Loss,
+    Reweighted,
+    Reweighting,
+    RobustRows,
+    influence_slope,
+    robust_weights,
+)
 
 MOST_OUTER = 8
 """Rounds of the outer loop."""

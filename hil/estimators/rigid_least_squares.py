@@ -14,13 +14,18 @@ import numpy as np
 
 from hil.core import BoolArray, FitError, FloatArray, SpecError
 from hil.data import Conditions, Dataset, FilterSettings, Group, group_of
-from hil.estimators.compress import JointwiseQR
-from hil.estimators.jointwise import Solution, jointwise_least_squares
+from hil.estimators.least_squares import (
+    JointwiseQR,
+    Solution,
+    jointwise_least_squares,
+    left_out_ridge,
+    ridge,
+    rough,
+    total_least_squares,
+)
 from hil.estimators.parameters import choice, number
-from hil.estimators.ridge import left_out_ridge, ridge
 from hil.estimators.rigid_classical import Covariance, RigidClassical
 from hil.estimators.rigid_linear import TERMS
-from hil.estimators.total_least_squares import rough, total_least_squares
 
 Method = Literal["ols", "wls", "ridge", "tls"]
 METHODS = ("ols", "wls", "ridge", "tls")
@@ -44,7 +49,7 @@ class RigidLeastSquares(RigidClassical):
     Attributes:
         covariance_, std_error_: NaN for `ridge` and `tls`.
         alpha_: Penalty of `ridge`; 0 for the others.
-        gap_: How far `tls` is from ill-posed, see `hil.estimators.total_least_squares`; else inf.
+        gap_: How far `tls` is from ill-posed, see `hil.estimators.least_squares`; else inf.
     """
 
     estimator: ClassVar[str] = "rigid-linear"

@@ -19,9 +19,8 @@ from hil.data import Dataset, FilterSettings, Prediction, SeriesKind
 from hil.dynamics import RobotModel, base_parameters, friction_terms, joint_columns
 from hil.estimators.base import chunks, payload_torque, prepared, training_rows
 from hil.estimators.checks import Needs, require_clean, require_motion, require_robot, torque_scale
-from hil.estimators.compress import JointwiseQR
 from hil.estimators.friction_curve import FrictionCurve, curve_of
-from hil.estimators.jointwise import Solution
+from hil.estimators.least_squares import JointwiseQR, Solution
 from hil.estimators.parameters import number, settings
 from hil.estimators.plausible import require_plausible
 from hil.estimators.wls import WlsEstimator

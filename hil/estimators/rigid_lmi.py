@@ -16,10 +16,14 @@ from hil.core import FloatArray, IntArray
 from hil.data import FilterSettings
 from hil.dynamics import BaseParameters
 from hil.estimators.checks import require_sizes
-from hil.estimators.compress import JointwiseQR
 from hil.estimators.consistent import IDENTIFY, Consistent, consistent_least_squares
 from hil.estimators.inertial_bounds import MASS_FACTOR, InertialBounds
-from hil.estimators.jointwise import Solution, at_least_rounding, jointwise_least_squares
+from hil.estimators.least_squares import (
+    JointwiseQR,
+    Solution,
+    at_least_rounding,
+    jointwise_least_squares,
+)
 from hil.estimators.parameters import flag, number
 from hil.estimators.rigid_classical import Covariance, RigidClassical
 from hil.estimators.rigid_linear import TERMS

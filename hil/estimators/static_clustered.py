@@ -11,6 +11,7 @@ from hil.core import FloatArray, IntArray
 from hil.data import Dataset
 from hil.dynamics import RobotModel
 from hil.estimators.checks import Needs, require_motion, require_varied
+from hil.estimators.covariance import interval
 from hil.estimators.dwell_rows import pose_numbers, short_dwells
 from hil.estimators.gravity import reach_of
 from hil.estimators.static_model import StaticModel
@@ -41,8 +42,6 @@ class PoseClustered(StaticModel):
 
     def interval(self, level: float = 0.95) -> FloatArray:
         """(p, 2) in which each parameter lies with probability `level`; NaN if not told."""
-        from hil.estimators.clustered import interval
-
         return interval(self.coefficients_, self.std_error_, self.degrees_, level)
 
     def fitted_arrays(self) -> dict[str, FloatArray]:

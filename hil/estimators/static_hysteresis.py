@@ -18,7 +18,7 @@ import numpy as np
 from hil.core import BoolArray, FitError, FloatArray, IntArray, SpecError
 from hil.data import Dataset
 from hil.estimators.dwell_rows import pose_numbers
-from hil.estimators.grouped_ridge import GroupedRidge, pose_folds
+from hil.estimators.least_squares import GroupedRidge, pose_folds
 from hil.estimators.parameters import flag, number
 from hil.estimators.rest_friction import Rest, correction_features, drive_terms, memory_terms
 from hil.estimators.static_coulomb import StaticCoulomb

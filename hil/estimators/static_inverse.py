@@ -28,7 +28,7 @@ from hil.data import Dataset, Prediction
 from hil.dynamics import RobotModel
 from hil.estimators.base import payload_torque
 from hil.estimators.checks import Needs, require_rank
-from hil.estimators.clustered import interval
+from hil.estimators.covariance import interval
 from hil.estimators.current_fit import (
     CurrentFit,
     Currents,

@@ -21,9 +21,9 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from hil.core import FloatArray, IntArray
-from hil.estimators.clustered import ClusterSums, clustered_covariance
-from hil.estimators.linear import WeightedLeastSquares
+from hil.estimators.covariance import ClusterSums, clustered_covariance
 from hil.estimators.pose_weights import pose_counts, repeat_weights, residual_weights
+from hil.estimators.regression import WeightedLeastSquares
 
 Method = Literal["ls", "ridge", "lasso", "elastic-net", "wls"]
 Weights = Literal["paper", "repeats", "pose"]

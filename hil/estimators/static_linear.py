@@ -3,7 +3,7 @@
 `static-wls` solves for all joints at once and weights joints; this one solves as the paper does,
 and tells how sure each parameter is. Its standard errors are clustered by pose: what the samples
 of a dwell, and the dwells of a pose, have in common does not count twice, see
-`hil.estimators.clustered`.
+`hil.estimators.covariance`.
 """
 
 from __future__ import annotations

@@ -13,9 +13,8 @@ from hil.core import FloatArray
 from hil.data import Dataset, Prediction, Stream
 from hil.estimators.base import RobotEstimator, chunks, payload_torque
 from hil.estimators.checks import require_rank
-from hil.estimators.compress import JointwiseQR
-from hil.estimators.correlation import correlated_samples
-from hil.estimators.jointwise import Solution, jointwise_least_squares
+from hil.estimators.covariance import correlated_samples
+from hil.estimators.least_squares import JointwiseQR, Solution, jointwise_least_squares
 from hil.estimators.stream import MemorylessStream
 
 STD_ERROR_GIVEN = (
@@ -37,7 +36,7 @@ class WlsEstimator(RobotEstimator):
         coefficients_: (p,) in SI.
         std_error_: (p,) standard errors, see `STD_ERROR_GIVEN` and `STD_ERROR_LEAVES_OUT`.
         correlated_samples_: (n,) how many successive samples of a joint count as one in
-            `std_error_`, 1 for independent ones; see `hil.estimators.correlation`.
+            `std_error_`, 1 for independent ones; see `hil.estimators.covariance`.
         condition_: Condition number of the column-scaled, weighted regressor.
     """
 

@@ -7,11 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hil.core import FloatArray
-from hil.estimators.compress import JointwiseQR
 from hil.estimators.diffnea.problem import Problem
 from hil.estimators.diffnea.rows import BendingRows
 from hil.estimators.diffnea.unknowns import Unknowns
-from hil.estimators.jointwise import Solution, jointwise_least_squares
+from hil.estimators.least_squares import JointwiseQR, Solution, jointwise_least_squares
 
 ROUNDS = 2
 """How often shapes are fitted, with the joints' weights renewed in between."""

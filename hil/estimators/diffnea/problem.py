@@ -8,10 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hil.core import FloatArray
-from hil.estimators.compress import JointwiseQR, upper_triangle
 from hil.estimators.diffnea.minimise import Cost, Local, Minimum, minimise
 from hil.estimators.diffnea.unknowns import Unknowns
-from hil.estimators.jointwise import Solution, System
+from hil.estimators.least_squares import JointwiseQR, Solution, System, upper_triangle
 
 Observed = Callable[[FloatArray], System]
 """Values → an equivalent small system whose columns are those of the values, slopes included."""

@@ -12,7 +12,7 @@ import numpy as np
 from hil.core import FloatArray, IntArray
 from hil.estimators.diffnea.forms import Form
 from hil.estimators.diffnea.motion import ArmMotion
-from hil.estimators.jointwise import System
+from hil.estimators.least_squares import System
 
 JITTER = 1e-13
 """Of a Gram matrix's diagonal: columns may coincide, such as those of shapes without effect."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from hil.core import FloatArray, IntArray
 from hil.data import Dataset
-from hil.estimators.compress import upper_triangle
+from hil.estimators.least_squares import upper_triangle
 
 MOST_FOLDS = 6
 BLOCKS = 5
