@@ -28,7 +28,7 @@ from hil.core.errors import (
 )
 from hil.robot import Status
 from hil.testing.moves import begin, follow, move, settle
-from hil_drivers import patience
+from hil_drivers import network
 from hil_drivers.twincat import orders
 from hil_drivers.twincat.robot import TwinCatRobot
 from hil_drivers.twincat.rows import TOPIC
@@ -329,7 +329,7 @@ def test_a_plc_that_is_not_the_right_one_is_told_in_one_sentence(plc_is, kind, s
     ],
 )
 def test_a_plc_that_is_not_there_is_told_at_once(options, said, monkeypatch):
-    monkeypatch.setattr(patience, "STARTING_S", 0.2)  # a mock on this computer may be starting
+    monkeypatch.setattr(network, "STARTING_S", 0.2)  # a mock on this computer may be starting
     robot = TwinCatRobot("arm", "lab6", **({"address": loopback()} | options))
     began = time.monotonic()
     with pytest.raises(RobotConnectionError, match=said):

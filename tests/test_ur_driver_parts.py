@@ -13,14 +13,13 @@ import pytest
 from hil.arms.payload import Payload
 from hil.core.errors import CommandRefused, RobotConnectionError, RobotFault, SpecError, StaleState
 from hil.robot import Segment, Status, state_dtype
-from hil_drivers.checks import require_liftable
-from hil_drivers.ur.checks import require_executable
+from hil_drivers.arm import require_liftable
+from hil_drivers.network import ip_address_of
 from hil_drivers.ur.configuration import limits_in
 from hil_drivers.ur.controller import KEPT_S
-from hil_drivers.ur.facts import capabilities_of, limits_of
+from hil_drivers.ur.facts import capabilities_of, limits_of, require_playable
 from hil_drivers.ur.faults import fault_of
 from hil_drivers.ur.feed import CATCH_UP, Feed
-from hil_drivers.ur.host import found
 from hil_drivers.ur.lag import LagWatch
 from hil_drivers.ur.motion_child import PROGRESS
 from hil_drivers.ur.options import options_of
@@ -207,7 +206,7 @@ def segment(q, qd=0.0, kind="move", speed=0.5, acceleration=1.0):
 )
 def test_segments_that_cannot_be_are_refused_before_anything_moves(asked, said):
     with pytest.raises(CommandRefused, match=said):
-        require_executable(asked, LIMITS, np.zeros(6))
+        require_playable(asked, LIMITS, np.zeros(6))
 
 
 def test_a_load_that_is_too_heavy_is_refused():
@@ -574,8 +573,8 @@ def test_limits_that_cannot_be_are_none(state, said):
 
 
 def test_a_name_is_looked_up_once_and_not_for_longer_than_it_may_take(monkeypatch):
-    assert found("192.0.2.7") == "192.0.2.7"
-    assert found("localhost") == "127.0.0.1"
+    assert ip_address_of("192.0.2.7") == "192.0.2.7"
+    assert ip_address_of("localhost") == "127.0.0.1"
     asked = threading.Event()
 
     def hangs(*args):
@@ -585,7 +584,7 @@ def test_a_name_is_looked_up_once_and_not_for_longer_than_it_may_take(monkeypatc
     monkeypatch.setattr("socket.getaddrinfo", hangs)
     began = time.monotonic()
     with pytest.raises(RobotConnectionError, match=r"no answer within 0\.1 s"):
-        found("ur5.lab.example", 0.1)
+        ip_address_of("ur5.lab.example", 0.1)
     assert time.monotonic() - began < 5.0
     asked.set()
 
@@ -598,6 +597,6 @@ def test_a_name_that_nobody_knows_is_told_with_what_to_do(monkeypatch):
     with pytest.raises(
         RobotConnectionError, match=r"'ur5\.lab\.example' leads to no address: Name"
     ) as caught:
-        found("ur5.lab.example")
+        ip_address_of("ur5.lab.example")
     assert "no address: Name or service not known" in caught.value.message
     assert "IP address" in caught.value.hint

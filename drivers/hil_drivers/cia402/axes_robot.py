@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from hil.arms import Payload
-from hil.core import CommandRefused, RobotConnectionError, RobotFault, RobotTimeout, StructArray
+from hil.core import CommandRefused, RobotFault, RobotTimeout, StructArray
 from hil.robot import Address, Capabilities, Finding, Identity, Limits, Segment, Topic
-from hil_drivers.checks import require_liftable
+from hil_drivers.arm import not_connected, nothing_prepared, require_liftable
 from hil_drivers.cia402.drives import Commissioned
 from hil_drivers.cia402.facts import capabilities_of, identity_of, limits_of
 from hil_drivers.cia402.findings import findings_of
@@ -187,7 +187,7 @@ class AxesRobot:
         line = self._healthy()
         prepared, self._prepared = self._prepared, False
         if not prepared:
-            raise CommandRefused("no segment is prepared", hint="call prepare() first")
+            raise nothing_prepared()
         line.session.core.start()
         self._has_moved = True
 
@@ -233,18 +233,13 @@ class AxesRobot:
         if line is not None:
             line.session.leave(rest_s=0.0 if line.trouble.is_there else REST_S)
 
-    def client_gone(self) -> None:
-        """For drivers in a process of their own: nothing to be told to drives."""
-
     @property
     def _drives(self) -> Commissioned | None:
         return self._line.session.drives if self._line else None
 
     def _connected(self) -> Line:
         if self._line is None:
-            raise RobotConnectionError(
-                f"{self._name} is not connected", hint="call connect() first"
-            )
+            raise not_connected(self._name)
         return self._line
 
     def _healthy(self) -> Line:

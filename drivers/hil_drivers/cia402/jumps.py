@@ -6,7 +6,7 @@ import numpy as np
 
 from hil.core import CommandRefused, FloatArray
 from hil.robot import Limits, Segment
-from hil_drivers.checks import SPEED_SLACK, refused
+from hil_drivers.arm import SPEED_SLACK, refused
 
 ACCELERATION_SLACK = 1.10
 """Second differences of sampled polynomials and rounded positions may be that much more."""

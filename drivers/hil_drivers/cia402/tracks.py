@@ -6,7 +6,7 @@ import numpy as np
 
 from hil.core import FloatArray, IntArray
 from hil.robot import Limits, Segment
-from hil_drivers.checks import require_executable
+from hil_drivers.arm import require_executable
 from hil_drivers.cia402.jumps import require_smooth
 from hil_drivers.cia402.scaling import Scaling
 from hil_drivers.cia402.torque_model import TorqueModel

@@ -8,7 +8,7 @@ from contextlib import contextmanager, suppress
 from hil.arms import Payload
 from hil.core import CommandRefused, RobotConnectionError, RobotFault, RobotTimeout
 from hil.robot import Limits, Segment
-from hil_drivers.checks import require_executable
+from hil_drivers.arm import require_executable
 from hil_drivers.twincat.controller import Controller
 from hil_drivers.twincat.orders import payload_fields, payload_in
 from hil_drivers.twincat.symbols import Order, Phase

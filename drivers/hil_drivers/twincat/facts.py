@@ -7,6 +7,7 @@ import numpy as np
 from hil.arms import load_arm
 from hil.core import PluginError, RobotConnectionError
 from hil.robot import Capabilities, Identity, Limits
+from hil_drivers import arm
 from hil_drivers.twincat.options import Options
 from hil_drivers.twincat.symbols import CONTRACT, CURRENT, TORQUE
 
@@ -15,40 +16,30 @@ EFFORTS = {TORQUE: "torque", CURRENT: "current"}
 
 
 def capabilities_of(model: str, options: Options) -> Capabilities:
-    """Names, rate and what `effort` is."""
-    arm, current = load_arm(model), options.effort == "current"
-    return Capabilities(
-        joint_names=arm.joint_names,
-        rate_hz=options.rate_hz,
-        effort_kind="current" if current else "torque",
-        drive_gains=options.drive_gains_nm_a if current else (),
-        drive_gains_source=arm.sources.get("drive_gains", "the station") if current else "",
-        clock="wall",
-    )
+    """Return names, rate and the meaning of `effort`."""
+    return arm.capabilities_of(model, options.rate_hz, options.effort, options.drive_gains_nm_a)
 
 
 def limits_of(model: str, options: Options, info: np.void | None = None) -> Limits:
-    """The maker's limits, none wider than what the PLC checks, once it was asked.
+    """Return the maker's limits, none wider than what the PLC checks once it is connected.
 
     Args:
         model: Built-in arm.
         options: Of the station.
         info: `stInfo`.
     """
-    arm, share = load_arm(model), options.speed_share
-    q_min, q_max, qd_max = np.array(arm.q_min), np.array(arm.q_max), np.array(arm.qd_max)
-    qdd_max, payload = np.array(arm.qdd_max), arm.payload_max_kg
-    if info is not None:
-        q_min, q_max = np.maximum(q_min, info["aQMin"]), np.minimum(q_max, info["aQMax"])
-        qd_max, qdd_max = np.minimum(qd_max, info["aQdMax"]), np.minimum(qdd_max, info["aQddMax"])
-        payload = min(payload, float(info["fPayloadMax"]))
-    return Limits(
-        q_min=q_min,
-        q_max=q_max,
-        qd_max=qd_max * share,
-        qdd_max=qdd_max,
-        effort_max=np.array(arm.effort_max),
-        payload_max_kg=payload,
+    reported = None if info is None else reported_limits(info)
+    return arm.limits_of(model, reported, options.speed_share)
+
+
+def reported_limits(info: np.void) -> arm.ReportedLimits:
+    """Return the limits that the PLC checks, by its `stInfo`."""
+    return arm.ReportedLimits(
+        q_min=info["aQMin"],
+        q_max=info["aQMax"],
+        qd_max=info["aQdMax"],
+        qdd_max=info["aQddMax"],
+        payload_max_kg=float(info["fPayloadMax"]),
     )
 
 
@@ -77,11 +68,11 @@ def require_fit(where: str, info: np.void, model: str, options: Options) -> None
     Raises:
         RobotConnectionError: Model, axes, cycle or effort differ; all of them are listed.
     """
-    arm = load_arm(model)
+    described = load_arm(model)
     told, cycle = text(info["sModel"]), float(info["fCycleS"])
     problems = []
-    if info["nAxes"] != arm.n_joints:
-        problems.append(f"it has {info['nAxes']} axes, the {model} has {arm.n_joints}")
+    if info["nAxes"] != described.n_joints:
+        problems.append(f"it has {info['nAxes']} axes, the {model} has {described.n_joints}")
     if told and told != model:
         problems.append(f"it moves a {told}, the station says {model}")
     if not abs(cycle * options.rate_hz - 1) < CYCLE_SHARE:

@@ -9,8 +9,10 @@ import numpy as np
 
 from hil.arms import Payload
 from hil.robot import Finding, Limits
+from hil_drivers.arm import payload_finding
 from hil_drivers.twincat.beat import EVERY_S
 from hil_drivers.twincat.controller import Controller
+from hil_drivers.twincat.facts import reported_limits
 from hil_drivers.twincat.return_codes import RUN, STATES
 from hil_drivers.twincat.ring import Ring
 from hil_drivers.twincat.symbols import CONTRACT, Phase
@@ -50,7 +52,7 @@ def findings_of(looked: Looked) -> Iterator[Finding]:
     yield _cycle(looked.controller.info)
     yield _watchdog(looked.controller.info)
     yield _joint_limits(looked)
-    yield _payload(looked)
+    yield payload_finding(looked.declared, looked.computed, "see to the PLC's program")
     yield _ring(looked)
 
 
@@ -91,22 +93,9 @@ def _watchdog(info: np.void) -> Finding:
 
 def _joint_limits(looked: Looked) -> Finding:
     """The limits that plans are held against are the stricter ones of maker and PLC."""
-    info, used = looked.controller.info, looked.limits
-    wider = (
-        (used.q_min < info["aQMin"]) | (used.q_max > info["aQMax"])
-        | (used.qd_max > info["aQdMax"]) | (used.qdd_max > info["aQddMax"])
-    )  # fmt: skip
+    wider = reported_limits(looked.controller.info).exceeded_by(looked.limits)
     said = "joint limits used are no wider than what the PLC checks"
     return Finding("joint-limits", not wider.any(), said, int(wider.sum()), 0)
-
-
-def _payload(looked: Looked) -> Finding:
-    declared, computed = looked.declared, looked.computed
-    said = f"payload {computed} read back"
-    said += "" if declared is None else f", {declared} declared"
-    passed = declared is None or declared.agrees_with(computed)
-    limit = None if declared is None else declared.mass
-    return Finding("payload", passed, said, computed.mass, limit, "see to the PLC's program")
 
 
 def _ring(looked: Looked) -> Finding:

@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 from hil.arms import load_arm
 from hil.robot import Address, is_loopback
+from hil_drivers.network import host_of, is_ip
 from hil_drivers.option_checks import OptionChecks
 from hil_drivers.twincat.symbols import DEFAULT_PREFIX
 
@@ -28,7 +29,6 @@ _CHECKS = OptionChecks("twincat")
 WHOLE = ("port", "block_rows", "chunk_bytes")
 ADS_PORT = 48898
 
-_HOST = re.compile(r"[a-z0-9]([a-z0-9-]*[a-z0-9])?(\.[a-z0-9]([a-z0-9-]*[a-z0-9])?)*")
 _NAME = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*")
 
 
@@ -119,10 +119,9 @@ def options_of(given: Mapping[str, Any], model: str) -> Options:
 
 def _address(value: Any) -> str:
     """One way of writing it."""
-    text = value.strip().lower() if isinstance(value, str) else ""
-    host, _, port = text.partition(":")
-    fits = not port or (port.isdigit() and 0 < int(port) < 65536)
-    if fits and (is_ip(host) or (_HOST.fullmatch(host) and not re.fullmatch(r"[0-9.]+", host))):
+    written, _, port = value.strip().partition(":") if isinstance(value, str) else ("", "", "")
+    host = host_of(written)
+    if host and (not port or (port.isdigit() and 0 < int(port) < 65536)):
         return host if not port or int(port) == ADS_PORT else f"{host}:{int(port)}"
     hint = "give the IP address of the PLC"
     if value is None:
@@ -159,12 +158,3 @@ def _gains(value: Any, model: str) -> tuple[float, ...]:
     name = "drive_gains_nm_a"
     each = _CHECKS.per_axis(name, value, arm.n_joints)
     return tuple(float(_CHECKS.number(name, one, (1e-6, 1e6))) for one in each)
-
-
-def is_ip(text: str) -> bool:
-    """Whether this is an IPv4 address, no host name."""
-    try:
-        ipaddress.IPv4Address(text)
-    except ValueError:
-        return False
-    return True

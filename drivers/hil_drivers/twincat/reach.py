@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import socket
 from typing import Any
 
 from hil.core import PluginError, RobotConnectionError
 from hil.robot import Finding
-from hil_drivers.patience import once_listening
-from hil_drivers.twincat.options import Options, is_ip
+from hil_drivers.network import is_ip, once_listening, peer_of, reason
+from hil_drivers.twincat.options import Options
 
 REACHED_WITHIN_S = 3.0
 """How long a TCP connection may take: the library itself waits for minutes [s]."""
@@ -32,12 +31,10 @@ def address_of(options: Options) -> str:
 def _found(options: Options) -> str:
     host, port = options.host
     try:
-        with socket.create_connection((host, port), REACHED_WITHIN_S) as line:
-            found = str(line.getpeername()[0])
+        found = peer_of(host, port, REACHED_WITHIN_S)
     except OSError as error:
-        why = error.strerror or str(error) or type(error).__name__
         raise RobotConnectionError(
-            f"PLC {options.address}: nobody listens on port {port}: {why}",
+            f"PLC {options.address}: nobody listens on port {port}: {reason(error)}",
             hint="is it on, and is it this address? TwinCAT's ADS port 48898 must be open in its "
             "firewall; the mock is started with: hil mock plc",
         ) from error

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from hil.arms import Payload
-from hil.core import CommandRefused, RobotConnectionError, RobotFault, StructArray
+from hil.core import RobotConnectionError, StructArray
 from hil.robot import Address, Capabilities, Finding, Identity, Limits, Segment, Topic
-from hil_drivers.checks import require_liftable
+from hil_drivers.arm import faulty, not_connected, nothing_prepared, require_liftable
 from hil_drivers.twincat import commanding
 from hil_drivers.twincat.controller import Controller
 from hil_drivers.twincat.facts import capabilities_of, limits_of
@@ -149,7 +149,7 @@ class TwinCatRobot:
         prepared, self._prepared = self._prepared, None
         controller = self._healthy()
         if prepared is None:
-            raise CommandRefused("no segment is prepared", hint="call prepare() first")
+            raise nothing_prepared()
         commanding.start(controller, self._watch, prepared)
 
     def read(self, timeout_s: float = 1.0) -> StructArray:
@@ -189,14 +189,9 @@ class TwinCatRobot:
         finally:
             self._let_go()
 
-    def client_gone(self) -> None:
-        """For drivers in a process of their own: nothing to be told to this arm."""
-
     def _connected(self) -> Controller:
         if self._controller is None:
-            raise RobotConnectionError(
-                f"{self._name} is not connected", hint="call connect() first"
-            )
+            raise not_connected(self._name)
         return self._controller
 
     def _reading_on(self) -> Reading:
@@ -210,9 +205,7 @@ class TwinCatRobot:
     def _healthy(self) -> Controller:
         controller = self._connected()
         if self._watch.faulty:
-            raise RobotFault(
-                f"{self._name} does not obey since a fault", hint="remove its cause, then connect()"
-            )
+            raise faulty(self._name)
         if not controller.beat.alive:
             why = controller.beat.problem
             raise RobotConnectionError(

@@ -11,12 +11,11 @@ import socket
 import struct
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hil.core import FloatArray, RobotConnectionError
-from hil.robot import Limits
+from hil.core import RobotConnectionError
+from hil_drivers.arm import ReportedLimits
 
 PRIMARY_PORT = 30001
 WITHIN_S = 2.0
@@ -32,35 +31,9 @@ _LIMITS = struct.Struct(">24d")
 N = 6
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class JointLimits:
-    """What a controller allows its joints; arrays are (6,).
-
-    Attributes:
-        q_min, q_max: Position [rad].
-        qd_max: Speed [rad/s].
-        qdd_max: Acceleration [rad/s²].
-    """
-
-    q_min: FloatArray
-    q_max: FloatArray
-    qd_max: FloatArray
-    qdd_max: FloatArray
-
-    def narrow(self, limits: Limits) -> Limits:
-        """The stricter of both, joint by joint."""
-        return replace(
-            limits,
-            q_min=np.maximum(limits.q_min, self.q_min),
-            q_max=np.minimum(limits.q_max, self.q_max),
-            qd_max=np.minimum(limits.qd_max, self.qd_max),
-            qdd_max=np.minimum(limits.qdd_max, self.qdd_max),
-        )
-
-
 def told_by_primary(
     address: str, within_s: float = WITHIN_S, port: int = PRIMARY_PORT
-) -> JointLimits:
+) -> ReportedLimits:
     """Ask a controller for its joint limits; commands nothing.
 
     Args:
@@ -80,7 +53,7 @@ def told_by_primary(
         raise _problem(peer, f"cannot be asked: {error.strerror or error}") from error
 
 
-def limits_in(state: bytes) -> JointLimits | None:
+def limits_in(state: bytes) -> ReportedLimits | None:
     """The joint limits in the content of one robot state, None when they are not in it.
 
     Raises:
@@ -99,19 +72,19 @@ def limits_in(state: bytes) -> JointLimits | None:
     return None
 
 
-def _limits_of(content: bytes) -> JointLimits:
+def _limits_of(content: bytes) -> ReportedLimits:
     if len(content) < _LIMITS.size:
         raise ValueError(f"configuration data of {len(content)} bytes")
     numbers = np.array(_LIMITS.unpack_from(content)).reshape(2, N, 2)
     (q_min, q_max), (qd_max, qdd_max) = numbers.transpose(0, 2, 1)
-    told = JointLimits(q_min, q_max, qd_max, qdd_max)
+    told = ReportedLimits(q_min, q_max, qd_max, qdd_max)
     sound = np.isfinite(numbers).all() and (q_min < q_max).all() and (numbers[1] > 0).all()
     if not sound:
         raise ValueError(f"joint limits that cannot be: {numbers.round(3).tolist()}")
     return told
 
 
-def _first_limits(line: socket.socket, until: float, peer: str) -> JointLimits:
+def _first_limits(line: socket.socket, until: float, peer: str) -> ReportedLimits:
     for kind, content in _packets(line, until, peer):
         if kind != ROBOT_STATE:
             continue

@@ -11,11 +11,11 @@ import numpy as np
 from hil.arms import Payload
 from hil.core import HilError, RobotConnectionError, RobotTimeout
 from hil.robot import Identity, Limits
-from hil_drivers.patience import once_listening
-from hil_drivers.ur.configuration import JointLimits, told_by_primary
+from hil_drivers.arm import ReportedLimits
+from hil_drivers.network import ip_address_of, once_listening
+from hil_drivers.ur.configuration import told_by_primary
 from hil_drivers.ur.facts import limits_of
 from hil_drivers.ur.faults import occupied
-from hil_drivers.ur.host import found
 from hil_drivers.ur.options import Options
 from hil_drivers.ur.receiver import Receiver
 from hil_drivers.ur.rows import PLAYING, program_state, require_source
@@ -52,7 +52,7 @@ class Controller:
         self.host = options.address
         self.receiver = self._receiver_of(self.host)
         self.told = Told()
-        self.configured: JointLimits | None = None
+        self.configured: ReportedLimits | None = None
         self.untold = "nobody has asked"
 
     @property
@@ -73,8 +73,7 @@ class Controller:
     @property
     def limits(self) -> Limits:
         """The maker's, or the controller's own where those are stricter and known."""
-        maker = limits_of(self._model, self._options)
-        return maker if self.configured is None else self.configured.narrow(maker)
+        return limits_of(self._model, self._options, self.configured)
 
     @property
     def row(self) -> Any:
@@ -141,7 +140,7 @@ class Controller:
 
     def _find(self) -> None:
         self.receiver.close()
-        self.host = found(self._options.address)
+        self.host = ip_address_of(self._options.address)
         self.receiver = self._receiver_of(self.host)
 
     def _receiver_of(self, host: str) -> Receiver:

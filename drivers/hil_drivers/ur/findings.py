@@ -9,6 +9,7 @@ import numpy as np
 
 from hil.arms import Payload
 from hil.robot import Finding
+from hil_drivers.arm import payload_finding
 from hil_drivers.ur.controller import INERTIA_SINCE, Controller
 from hil_drivers.ur.facts import limits_of
 from hil_drivers.ur.faults import MODES, RUNTIME, SAFETY, speed_complaint
@@ -100,19 +101,10 @@ def _slider(row: np.void) -> Finding:
 
 
 def _payload(looked: Looked) -> Finding:
-    declared, back = looked.declared, looked.controller.believed
-    said = f"payload {back} read back"
-    said += "" if declared is None else f", {declared} declared"
-    if looked.controller.receiver.version[:2] < INERTIA_SINCE:
-        said += "; this software takes no inertia"
-    return Finding(
-        "payload",
-        declared is None or declared.agrees_with(back),
-        said,
-        back.mass,
-        None if declared is None else declared.mass,
-        "look for a message at the teach pendant",
-    )
+    old = looked.controller.receiver.version[:2] < INERTIA_SINCE
+    remark = "; this software takes no inertia" if old else ""
+    hint = "look for a message at the teach pendant"
+    return payload_finding(looked.declared, looked.controller.believed, hint, remark)
 
 
 def _joint_limits(looked: Looked) -> Finding:
@@ -129,10 +121,7 @@ def _joint_limits(looked: Looked) -> Finding:
         "rad/s²": float((maker.qdd_max - used.qdd_max).max()),
     }
     narrower = ", ".join(f"{value:.3f} {unit}" for unit, value in by.items() if value > 0)
-    wider = (
-        (used.q_min < told.q_min) | (used.q_max > told.q_max)
-        | (used.qd_max > told.qd_max) | (used.qdd_max > told.qdd_max)
-    )  # fmt: skip
+    wider = told.exceeded_by(used)
     said = "joint limits used are no wider than the controller's (told on port 30001), which are "
     said += (
         f"narrower than the maker's by up to {narrower}" if narrower else "as wide as the maker's"

@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 
 from hil.arms import Payload
-from hil.core import CommandRefused, HilError, RobotConnectionError, StructArray
+from hil.core import HilError, StructArray
 from hil.robot import Capabilities, Identity, Limits, Segment, Status
+from hil_drivers.arm import not_connected, nothing_prepared
 from hil_drivers.ur.control import LIBRARY, Control
 from hil_drivers.ur.direct_stop import end_program, stop_directly
 from hil_drivers.ur.facts import capabilities_of, limits_of
@@ -123,7 +124,7 @@ class UrMotion:
         """Begin the prepared segment: `move` by the controller's own plan, else led along."""
         segment, self._prepared = self._prepared, None
         if segment is None:
-            raise CommandRefused("no segment is prepared", hint="call prepare() first")
+            raise nothing_prepared()
         mover = self._moving()
         if segment.kind == "move" and self._options.moves == "movej":
             mover.start_move(segment)
@@ -191,7 +192,5 @@ class UrMotion:
 
     def _moving(self) -> Mover:
         if self._mover is None:
-            raise RobotConnectionError(
-                f"{self._name} is not connected", hint="call connect() first"
-            )
+            raise not_connected(self._name)
         return self._mover

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import ipaddress
 import math
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, Literal
 
 from hil.arms import load_arm
-from hil.core import SpecError, closest
+from hil.core import SpecError
+from hil_drivers.network import host_of
+from hil_drivers.option_checks import OptionChecks
 
 SERIES_HZ = {"ur3": 125, "ur5": 125, "ur10": 125, "ur3e": 500, "ur5e": 500, "ur10e": 500}
 """Ticks per second of the controller that moves an arm: CB3 125, e-Series 500 [Hz]."""
@@ -39,7 +39,7 @@ CHOICES = {
 MOST_SPEED, MOST_ACCELERATION = 3.14, 40.0
 """What `ur-rtde` lets through to the controller [rad/s, rad/s²]."""
 
-_HOST = re.compile(r"[a-z0-9]([a-z0-9-]*[a-z0-9])?(\.[a-z0-9]([a-z0-9-]*[a-z0-9])?)*")
+_CHECKS = OptionChecks("ur")
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,59 +90,44 @@ def options_of(given: Mapping[str, Any], model: str) -> Options:
     """
     if model not in SERIES_HZ:
         raise SpecError(f"the driver ur moves no {model}", hint=f"it moves {', '.join(SERIES_HZ)}")
-    known = [field.name for field in fields(Options)]
-    if unknown := sorted(set(given) - set(known)):
-        raise SpecError(
-            f"the driver ur has no option {', '.join(unknown)}",
-            hint=f"{_meant(unknown, known)}its options are {', '.join(known)}",
-        )
+    _CHECKS.require_known(given, [field.name for field in fields(Options)])
     address = _address(given.get("address"))
-    for name, (least, most) in RANGES.items():
-        if name in given and not _within(given[name], least, most):
-            raise wrong_option(name, given[name], f"use a number from {least:g} to {most:g}")
+    for name, between in RANGES.items():
+        if name in given:
+            _CHECKS.number(name, given[name], between)
     for name, choices in CHOICES.items():
-        if name in given and given[name] not in choices:
-            raise wrong_option(name, given[name], f"use {', '.join(choices)}")
+        if name in given:
+            _CHECKS.choice(name, given[name], choices)
     if given.get("torque_source") == "current-as-torque" and SERIES_HZ[model] == 125:
-        raise wrong_option("torque_source", "current-as-torque", "a CB3 controller tells `current`")
+        raise _CHECKS.wrong_option(
+            "torque_source", "current-as-torque", "a CB3 controller tells `current`"
+        )
     _require_frequency(given.get("frequency_hz"), model)
     options = Options(**{**given, "address": address})
     _require_ramp(options, model)
     return options
 
 
-def wrong_option(name: str, value: object, hint: str) -> SpecError:
-    """The error that says what one option was and what would be right."""
-    return SpecError(f"ur option {name} is {value!r}", hint=hint)
-
-
-def _meant(unknown: list[str], known: list[str]) -> str:
-    """What somebody may have wanted to type; empty when nobody can say."""
-    meant = [repr(like) for name in unknown if (like := closest(name, known))]
-    return f"did you mean {', '.join(meant)}? " if meant else ""
-
-
 def _address(value: Any) -> str:
-    """One way of writing it: two stations that mean one arm must say the same."""
-    text = value.strip().lower() if isinstance(value, str) else ""
-    try:
-        return str(ipaddress.ip_address(text))
-    except ValueError:
-        if _HOST.fullmatch(text) and not re.fullmatch(r"[0-9.]+", text):
-            return text
     hint = "give the IP address of the controller, as its network settings show it"
     if value is None:
-        raise SpecError("the driver ur lacks its option address", hint=hint)
-    raise wrong_option("address", value, hint)
+        raise _CHECKS.lacking("address", hint)
+    host = host_of(value) if isinstance(value, str) else None
+    if host is None:
+        raise _CHECKS.wrong_option("address", value, hint)
+    return host
 
 
 def _require_frequency(value: Any, model: str) -> None:
     """An integer number of the controller's ticks has to lie between two samples."""
+    if value is None:
+        return
     base = SERIES_HZ[model]
-    fits = _within(value, 10.0, base) and math.isclose(base / value, round(base / value))
-    if value is not None and not fits:
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    fits = number and 10.0 <= value <= base and math.isclose(base / value, round(base / value))
+    if not fits:
         rates = ", ".join(f"{base / k:g}" for k in (1, 2, 4, 5) if base % k == 0)
-        raise wrong_option("frequency_hz", value, f"use a whole part of {base} Hz: {rates}")
+        raise _CHECKS.wrong_option("frequency_hz", value, f"use a whole part of {base} Hz: {rates}")
 
 
 def _require_ramp(options: Options, model: str) -> None:
@@ -151,15 +136,10 @@ def _require_ramp(options: Options, model: str) -> None:
     left_s = 1.0 / options.watchdog_hz - RAMP_SLACK_S
     if left_s <= 0.0 or fastest / options.stop_rad_s2 > left_s:
         ramp_s = fastest / options.stop_rad_s2 + RAMP_SLACK_S
-        raise wrong_option(
+        raise _CHECKS.wrong_option(
             "watchdog_hz",
             options.watchdog_hz,
             f"a stop out of {fastest:.2f} rad/s with {options.stop_rad_s2:g} rad/s² takes "
             f"{ramp_s:.2f} s, in which nobody can feed the watchdog: at most {1 / ramp_s:.2f} Hz, "
             "or a larger stop_rad_s2, or a smaller speed_share",
         )
-
-
-def _within(value: Any, least: float, most: float) -> bool:
-    number = isinstance(value, int | float) and not isinstance(value, bool)
-    return number and least <= value <= most

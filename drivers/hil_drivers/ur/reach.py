@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import socket
 from collections.abc import Iterator
 
 from hil.core import RobotConnectionError
 from hil.robot import Finding
+from hil_drivers.network import peer_of, reason
 from hil_drivers.ur.configuration import PRIMARY_PORT
 from hil_drivers.ur.dashboard import PORT, Dashboard
 from hil_drivers.ur.receiver import RTDE_PORT
@@ -54,11 +54,11 @@ def reached(address: str, within_s: float = WITHIN_S) -> Iterator[Finding]:
 
 
 def _silence(address: str, port: int, within_s: float) -> str:
-    """Why nobody listens on a port; empty when somebody does."""
+    """Return why a port does not answer; empty if it does."""
     try:
-        socket.create_connection((address, port), within_s).close()
+        peer_of(address, port, within_s)
     except OSError as error:
-        return error.strerror or str(error) or type(error).__name__
+        return reason(error)
     return ""
 
 

@@ -19,11 +19,10 @@ from hil.core import (
     StructArray,
 )
 from hil.robot import Address, Capabilities, Finding, Identity, Limits, Segment, Topic, is_loopback
-from hil_drivers.checks import require_liftable
-from hil_drivers.ur.checks import require_executable
+from hil_drivers.arm import faulty, not_connected, nothing_prepared, require_liftable
 from hil_drivers.ur.controller import KEPT_S, READ_BACK_S, Controller
 from hil_drivers.ur.direct_stop import stop_directly, stop_program
-from hil_drivers.ur.facts import capabilities_of
+from hil_drivers.ur.facts import capabilities_of, require_playable
 from hil_drivers.ur.faults import slider_of
 from hil_drivers.ur.findings import Looked, findings_of
 from hil_drivers.ur.motion import MotionProcess
@@ -190,7 +189,7 @@ class UrRobot:
         """
         self._require_health()
         stops = self._stops
-        require_executable(segment, self.limits, self._controller.row["target_q"])
+        require_playable(segment, self.limits, self._controller.row["target_q"])
         if segment.kind != "hold":
             self._motion.prepare(segment)
         self._prepared = segment
@@ -207,7 +206,7 @@ class UrRobot:
         segment, self._prepared = self._prepared, None
         self._require_health()
         if segment is None:
-            raise CommandRefused("no segment is prepared", hint="call prepare() first")
+            raise nothing_prepared()
         if self._watch.moving:
             raise CommandRefused("a segment is still running", hint="read until it is over")
         self._controller.receiver.keep(None)  # a dwell is measured as much as a motion
@@ -285,9 +284,6 @@ class UrRobot:
         finally:
             self._let_go()
 
-    def client_gone(self) -> None:
-        """For drivers in a process of their own: nothing to be told to this arm."""
-
     def _look(self, raw: StructArray) -> None:
         """Find out how the motion stands; what is wrong is told by the next read."""
         told, error = None, None
@@ -319,9 +315,7 @@ class UrRobot:
 
     def _require_connection(self) -> None:
         if not (self._connected or self._listening):
-            raise RobotConnectionError(
-                f"{self._name} is not connected", hint="call connect() first"
-            )
+            raise not_connected(self._name)
 
     def _require_health(self) -> None:
         self._require_connection()
@@ -333,9 +327,7 @@ class UrRobot:
                 hint="connect() again",
             )
         if self._watch.faulty:
-            raise RobotFault(
-                f"{self._name} does not obey since a fault", hint="remove its cause, then connect()"
-            )
+            raise faulty(self._name)
 
     def _let_go(self) -> None:
         self._connected = self._listening = False

@@ -13,8 +13,8 @@ from ur_driver_parts import own_address
 from ur_mock import loopback
 
 from hil.core.errors import RobotConnectionError
-from hil_drivers import patience
-from hil_drivers.patience import once_listening
+from hil_drivers import network
+from hil_drivers.network import once_listening
 from hil_drivers.ur.dashboard import Dashboard
 from hil_drivers.ur.robot import UrRobot
 
@@ -80,7 +80,7 @@ def test_a_dashboard_that_opens_late_is_reached():
 @pytest.mark.wire
 @pytest.mark.timeout(120)
 def test_a_mock_started_a_moment_ago_is_connected_to(monkeypatch):
-    monkeypatch.setattr(patience, "STARTING_S", 60.0)  # however busy this machine is
+    monkeypatch.setattr(network, "STARTING_S", 60.0)  # however busy this machine is
     address = loopback()
     command = [sys.executable, "-m", "hil_mock_robot", "ur", "--address", address]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL) as mock:
