@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 from hil.cli.app import app
 from hil.core.errors import FitError, RecordingError
 from hil.dynamics import RobotModel
-from hil.dynamics.physical_consistency import is_consistent
+from hil.dynamics.inertial import is_consistent
 from hil.estimators.rigid import RigidWls
 from hil.export.identified_urdf import export_urdf
 from hil.export.urdf_edit import edited

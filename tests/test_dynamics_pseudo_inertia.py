@@ -8,8 +8,8 @@ import pytest
 
 from hil.core.errors import FitError
 from hil.core.typing import FloatArray
-from hil.dynamics.inertial import body_parameters, transfer_matrix
-from hil.dynamics.physical_consistency import (
+from hil.dynamics.inertial import (
+    body_parameters,
     coordinate_jacobian,
     divergence,
     from_coordinates,
@@ -19,6 +19,7 @@ from hil.dynamics.physical_consistency import (
     nearest_consistent,
     pseudo_inertia,
     to_coordinates,
+    transfer_matrix,
 )
 
 ARROWHEAD = body_parameters(1.0, (0.0, 0.0, 0.0), np.diag([0.1, 0.1, 0.5]))

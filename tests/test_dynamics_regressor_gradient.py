@@ -11,10 +11,9 @@ import pytest
 
 from hil.core.typing import FloatArray
 from hil.dynamics import RobotModel, base_parameters
+from hil.dynamics.base import log_condition, neg_log_det
 from hil.dynamics.build import model_from_arm
-from hil.dynamics.identification_columns import IdentificationColumns
-from hil.dynamics.information import log_condition, neg_log_det
-from hil.dynamics.regressor_gradient import RegressorSweep
+from hil.dynamics.regressor_gradient import IdentificationColumns, RegressorSweep
 
 SLIDE = """<robot name="slide"><link name="base"/>
 <link name="cart"><inertial><mass value="2"/><origin xyz="0.1 0 0.2"/>

@@ -10,7 +10,7 @@ from synthetic_motion import fourier, nominal, plant
 
 from hil.core.errors import PluginError
 from hil.dynamics import RobotModel, base_parameters
-from hil.dynamics.physical_consistency import from_pseudo_inertia, pseudo_inertia
+from hil.dynamics.inertial import from_pseudo_inertia, pseudo_inertia
 from hil.estimators.consistent import consistent_least_squares
 from hil.estimators.inertial_bounds import InertialBounds
 from hil.estimators.reference_coordinates import ReferenceCoordinates

@@ -22,7 +22,7 @@ from hil.core.errors import SpecError
 from hil.core.typing import FloatArray
 from hil.data import Dataset
 from hil.dynamics import base_parameters
-from hil.dynamics.physical_consistency import is_consistent
+from hil.dynamics.inertial import is_consistent
 from hil.estimators import estimator
 from hil.estimators.model_file import load_model_file
 from hil.estimators.rigid import RigidWls

@@ -9,7 +9,7 @@ from synthetic_motion import nominal
 
 from hil.core.typing import FloatArray
 from hil.dynamics import base_parameters
-from hil.dynamics.physical_consistency import divergence, is_consistent
+from hil.dynamics.inertial import divergence, is_consistent
 from hil.estimators.diffnea.bodies import Bodies
 from hil.estimators.diffnea.forms import FORMS, spread
 from hil.estimators.diffnea.minimise import Local, minimise

@@ -15,7 +15,7 @@ from hil.arms.payload import Payload
 from hil.core.errors import DataError, FitError, SpecError
 from hil.data import Conditions, Dataset
 from hil.dynamics import payload_parameters
-from hil.dynamics.physical_consistency import is_consistent, pseudo_inertia
+from hil.dynamics.inertial import is_consistent, pseudo_inertia
 from hil.estimators.load_body import central, central_jacobian, nearest_body, payload_of
 from hil.estimators.payload_cross_validation import payload_halves
 from hil.estimators.payload_fit import estimate_payload, true_values

@@ -8,7 +8,7 @@ from synthetic_motion import COULOMB, GAINS, LOAD, OFFSET, VISCOUS, moving, nomi
 from hil.core.errors import FitError, SpecError
 from hil.data.dataset import Dataset
 from hil.dynamics import base_parameters, coulomb_viscous_columns
-from hil.dynamics.physical_consistency import pseudo_inertia
+from hil.dynamics.inertial import pseudo_inertia
 from hil.estimators import estimator, load_model_file
 from hil.estimators.friction_exponent import power_of_speed
 

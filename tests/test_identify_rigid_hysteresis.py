@@ -11,7 +11,7 @@ from synthetic_motion import GAINS, LOAD, nominal, plant
 
 from hil.core.errors import DataError
 from hil.data.filters import filter_columns, prepare
-from hil.dynamics.physical_consistency import is_consistent
+from hil.dynamics.inertial import is_consistent
 from hil.estimators import estimator, load_model_file
 
 NOISE_A = 0.02

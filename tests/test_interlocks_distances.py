@@ -13,7 +13,7 @@ from hil.arms import load_arm
 from hil.arms.payload import Payload
 from hil.core.typing import FloatArray, StructArray
 from hil.dynamics import Box, CollisionModel, Environment, Plane, RobotModel, payload_capsule
-from hil.dynamics.flange import FlangeSpace
+from hil.dynamics.collision import FlangeSpace
 from hil.dynamics.sample_distances import SampleDistances
 from hil.engine.interlocks import InterlockContext, LeastDistance, Trip
 from hil.planning.interlocks import flange_space

@@ -14,7 +14,7 @@ from weighing_parts import CYLINDER, bodies, sweep
 from hil.arms import load_arm
 from hil.arms.payload import Payload
 from hil.dynamics import CollisionModel, Environment, RobotModel
-from hil.dynamics.environment import payload_capsule
+from hil.dynamics.collision import payload_capsule
 from hil.planning.plan import Plan, Step
 from hil.planning.plan_preview import preview
 from hil.planning.weighing import why_not_weighed, why_plan_not_weighed

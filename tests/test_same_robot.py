@@ -12,7 +12,7 @@ from synthetic_motion import moving, nominal, raw
 from hil.arms.payload import Payload
 from hil.core.errors import DataError
 from hil.dynamics import load_model
-from hil.dynamics.same_robot import may_be
+from hil.dynamics.robot_model import may_be
 from hil.estimators.model_file import load_model_file
 from hil.estimators.payload_fit import estimate_payload
 from hil.estimators.rigid import RigidWls

@@ -21,7 +21,7 @@ TOLERANCE_M = 1e-7
 
 
 class Distances(Protocol):
-    """What is needed of a collision model (`hil.dynamics.collision.CollisionModel`)."""
+    """What is needed of a collision model (`hil.dynamics.CollisionModel`)."""
 
     def distances(self, q: FloatArray) -> FloatArray:
         """(R, N) distances [m] at `q` (N, n); negative where bodies overlap."""

@@ -2,6 +2,19 @@
 
 Order: m, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz; mx = m·cx is the first moment, the inertia is
 about the *origin* of the frame (not the centre of mass), so torques are linear in all ten.
+
+Ten parameters φ belong to a body that can exist when its pseudo-inertia
+
+    J = [[Σ, h], [hᵀ, m]],  Σ = ½ tr(I)·1 − I,
+
+the second moments of its mass density about the frame's origin, is positive definite (Wensing, Kim
+& Slotine, RA-L 2018). J = U Uᵀ with an upper triangle U whose diagonal is written as exponentials
+then has ten free coordinates θ, the log-Cholesky ones of Rucker & Wensing (RA-L 2022):
+
+    U = e^α [[e^d1, s12, s13, t1], [0, e^d2, s23, t2], [0, 0, e^d3, t3], [0, 0, 0, 1]].
+
+The mass is e^2α and t the centre of mass. Every function takes any number of bodies (…, 10), in the
+order of `hil.dynamics.inertial.PARAMETERS`.
 """
 
 from __future__ import annotations
@@ -10,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hil.arms import Payload
-from hil.core import FloatArray
+from hil.core import BoolArray, FitError, FloatArray
 
 PARAMETERS = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 
@@ -28,6 +41,11 @@ def body_parameters(mass: float, com: ArrayLike, inertia: ArrayLike) -> FloatArr
     return _pack(mass, mass * np.asarray(com, dtype=np.float64), about_origin)
 
 
+def _pack(m: float, h: FloatArray, inertia: FloatArray) -> FloatArray:
+    rows, columns = [0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]
+    return np.concatenate(([m], h, inertia[rows, columns]))
+
+
 def about_centre(body: FloatArray) -> tuple[float, FloatArray, FloatArray]:
     """Inverse of `body_parameters`: mass, its centre (3,) and the inertia (3, 3) about that.
 
@@ -38,6 +56,12 @@ def about_centre(body: FloatArray) -> tuple[float, FloatArray, FloatArray]:
     com = h / mass
     S = skew(com)
     return mass, com, inertia + mass * S @ S
+
+
+def _unpack(parameters: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+    xx, xy, yy, xz, yz, zz = parameters[4:]
+    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    return float(parameters[0]), parameters[1:4], inertia
 
 
 def payload_parameters(payload: Payload) -> FloatArray:
@@ -74,12 +98,135 @@ def skew(v: FloatArray) -> FloatArray:
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
-def _pack(m: float, h: FloatArray, inertia: FloatArray) -> FloatArray:
-    rows, columns = [0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]
-    return np.concatenate(([m], h, inertia[rows, columns]))
+COORDINATES = ("alpha", "d1", "d2", "d3", "s12", "s23", "s13", "t1", "t2", "t3")
+"""Order of θ: α, the logarithms of the diagonal, the upper triangle, the centre of mass [m]."""
 
 
-def _unpack(parameters: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-    xx, xy, yy, xz, yz, zz = parameters[4:]
-    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    return float(parameters[0]), parameters[1:4], inertia
+def pseudo_inertia(parameters: FloatArray) -> FloatArray:
+    """(…, 4, 4) pseudo-inertias J of parameters (…, 10)."""
+    m, mx, my, mz, xx, xy, yy, xz, yz, zz = np.moveaxis(np.asarray(parameters, float), -1, 0)
+    half = 0.5 * (xx + yy + zz)
+    rows = [
+        [half - xx, -xy, -xz, mx],
+        [-xy, half - yy, -yz, my],
+        [-xz, -yz, half - zz, mz],
+        [mx, my, mz, m],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def from_pseudo_inertia(J: FloatArray) -> FloatArray:
+    """(…, 10) parameters of symmetric pseudo-inertias (…, 4, 4); linear in J."""
+    x, y, z = J[..., 0, 0], J[..., 1, 1], J[..., 2, 2]
+    entries = (
+        J[..., 3, 3], J[..., 0, 3], J[..., 1, 3], J[..., 2, 3],
+        y + z, -J[..., 0, 1], x + z, -J[..., 0, 2], -J[..., 1, 2], x + y,
+    )  # fmt: skip
+    return np.stack(entries, axis=-1)
+
+
+def least_eigenvalue(parameters: FloatArray) -> FloatArray:
+    """(…) smallest eigenvalue of J; above 0 for a body that can exist. Its unit is mixed."""
+    return np.asarray(np.linalg.eigvalsh(pseudo_inertia(parameters))[..., 0])
+
+
+def is_consistent(parameters: FloatArray) -> BoolArray:
+    """(…) whether J is positive definite: mass, principal moments and their triangle inequality."""
+    return np.asarray(least_eigenvalue(parameters) > 0.0)
+
+
+def nearest_consistent(parameters: FloatArray, share: float = 1e-6) -> FloatArray:
+    """(…, 10) the parameters with the nearest J whose eigenvalues reach a share of the largest.
+
+    Bodies that do so already stay as they are. Nearest is meant in the Frobenius norm of J; a body
+    without any mass gets the share of 1 kg and 1 kg·m².
+
+    Args:
+        parameters: (…, 10).
+        share: Least eigenvalue over the largest one, above 0.
+    """
+    J = pseudo_inertia(parameters)
+    values, vectors = np.linalg.eigh(J)
+    largest = np.maximum(values[..., -1:], 0.0)
+    floor = share * np.where(largest > 0.0, largest, 1.0)
+    raised = np.maximum(values, floor)
+    mended = (vectors * raised[..., None, :]) @ np.swapaxes(vectors, -1, -2)
+    fine = np.all(values >= floor, axis=-1)[..., None]
+    return np.where(fine, parameters, from_pseudo_inertia(mended))
+
+
+_DIAGONAL = (0, 1, 2)
+
+_UPPER = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
+"""Entries of U that s12, s23, s13, t1, t2, t3 stand for."""
+
+
+def to_coordinates(parameters: FloatArray) -> FloatArray:
+    """(…, 10) log-Cholesky coordinates θ of consistent parameters.
+
+    Raises:
+        FitError: A pseudo-inertia is not positive definite, so that it has no such coordinates.
+    """
+    J = pseudo_inertia(parameters)
+    if not np.all(np.isfinite(J)) or not np.all(is_consistent(parameters)):
+        raise FitError(
+            "inertial parameters of a body that cannot exist have no log-Cholesky coordinates",
+            hint="replace them with nearest_consistent(parameters) first",
+        )
+    # J = U Uᵀ with an upper triangle is the ordinary decomposition seen from the last row up.
+    U = np.linalg.cholesky(J[..., ::-1, ::-1])[..., ::-1, ::-1]
+    scale = U[..., 3, 3]
+    unit = U / scale[..., None, None]
+    diagonal = [np.log(unit[..., i, i]) for i in _DIAGONAL]
+    upper = [unit[..., row, column] for row, column in _UPPER]
+    return np.stack([np.log(scale), *diagonal, *upper], axis=-1)
+
+
+def triangle(theta: FloatArray) -> FloatArray:
+    """(…, 4, 4) upper triangles U of coordinates θ (…, 10), with J = U Uᵀ."""
+    theta = np.asarray(theta, dtype=np.float64)
+    U = np.zeros((*theta.shape[:-1], 4, 4))
+    for i in _DIAGONAL:
+        U[..., i, i] = np.exp(theta[..., 1 + i])
+    for k, (row, column) in enumerate(_UPPER):
+        U[..., row, column] = theta[..., 4 + k]
+    U[..., 3, 3] = 1.0
+    return U * np.exp(theta[..., :1, None])
+
+
+def from_coordinates(theta: FloatArray) -> FloatArray:
+    """(…, 10) parameters φ(θ), always those of a body that can exist."""
+    U = triangle(theta)
+    return from_pseudo_inertia(U @ np.swapaxes(U, -1, -2))
+
+
+def triangle_jacobian(theta: FloatArray) -> FloatArray:
+    """(…, 10, 4, 4) ∂U/∂θₖ."""
+    theta = np.asarray(theta, dtype=np.float64)
+    scale = np.exp(theta[..., 0])
+    slope = np.zeros((*theta.shape, 4, 4))
+    slope[..., 0, :, :] = triangle(theta)
+    for i in _DIAGONAL:
+        slope[..., 1 + i, i, i] = scale * np.exp(theta[..., 1 + i])
+    for k, (row, column) in enumerate(_UPPER):
+        slope[..., 4 + k, row, column] = scale
+    return slope
+
+
+def coordinate_jacobian(theta: FloatArray) -> FloatArray:
+    """(…, 10, 10) ∂φ/∂θ, exact: dJ = dU Uᵀ + U dUᵀ."""
+    half = triangle_jacobian(theta) @ np.swapaxes(triangle(theta), -1, -2)[..., None, :, :]
+    slope = from_pseudo_inertia(half + np.swapaxes(half, -1, -2))
+    return np.swapaxes(slope, -1, -2)
+
+
+def divergence(parameters: FloatArray, prior: FloatArray) -> FloatArray:
+    """(…) Bregman divergence of −log det from a prior: tr(J₀⁻¹J) − log det(J₀⁻¹J) − 4.
+
+    Zero for the prior alone and infinite at the border of what can exist; it depends neither on the
+    frame nor on units (Lee, Wensing & Park, T-RO 2020, entropic distance).
+    """
+    ratio = np.linalg.solve(pseudo_inertia(prior), pseudo_inertia(parameters))
+    sign, log_det = np.linalg.slogdet(ratio)
+    found = np.trace(ratio, axis1=-2, axis2=-1) - log_det - 4.0
+    return np.where((sign > 0) & is_consistent(parameters), found, np.inf)

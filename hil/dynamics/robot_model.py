@@ -1,11 +1,15 @@
-"""An arm as a model: made from a description or a URDF, stored, and loaded with payloads.
+"""A serial arm as a model, vectorised over samples: a thin layer over Pinocchio.
 
-What it computes is in `hil.dynamics.rigid_bodies`.
+It is made from a description of an arm or a URDF, stored by what it was made from, and loaded with
+payloads. `CoupledModel` is an arm whose motors move more than one joint; `may_be` says whether a
+recording that names a robot may be of a given model.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -13,18 +17,17 @@ import numpy as np
 import pinocchio as pin
 
 from hil.arms import ArmDescription, Payload, is_description, load_arm
-from hil.core import FloatArray, IntArray, SpecError
+from hil.core import DataError, FloatArray, IntArray, SpecError
 from hil.dynamics.build import (
+    JointGeometry,
+    joint_geometry,
     model_from_arm,
     model_from_urdf,
     pose_of,
 )
-from hil.dynamics.inertial import (
-    PARAMETERS,
-    payload_inertia,
-    transfer_matrix,
-)
-from hil.dynamics.rigid_bodies import RigidBodies
+from hil.dynamics.chain import Chain, momentum
+from hil.dynamics.inertial import PARAMETERS, payload_inertia, payload_parameters, transfer_matrix
+from hil.dynamics.regressor import Regressor, compiles
 
 GRAVITY = (0.0, 0.0, -9.81)
 
@@ -32,8 +35,24 @@ MOTOR_SIDE = "@motors"
 """Behind the name of an arm whose motors move more than one joint: see `CoupledModel`."""
 
 
-class RobotModel(RigidBodies):
-    """A fixed-base serial arm; for its parameters see `RigidBodies`.
+class RobotModel:
+    """The moving links of a fixed-base serial arm: torques, momentum, regressors, poses.
+
+    Every method takes rows of samples (N, n) and stacks results sample-major: row k·n + j of a
+    regressor is joint j at sample k. SI throughout; prismatic joints count in m and N.
+
+    Inertial parameters are those of Pinocchio's joint frames: frame i has its origin on the axis
+    of joint i (for DH arms: the origin of DH frame i−1) and turns with link i; the order is that
+    of `hil.dynamics.PARAMETERS`. Rotor inertias, reflected to the joint, come last.
+
+    An instance holds scratch memory: share it between processes, not between threads.
+
+    Args:
+        model: Of Pinocchio.
+        flange: Its frame that carries loads.
+        name: For messages.
+        arm: The description it was built from.
+        payloads: Mounted already.
 
     Attributes:
         name: Arm name or URDF path.
@@ -57,7 +76,13 @@ class RobotModel(RigidBodies):
         arm: ArmDescription | None = None,
         payloads: tuple[Payload, ...] = (),
     ) -> None:
-        super().__init__(model, flange, name=name)
+        self._model = model
+        self._data = model.createData()
+        self._flange = flange
+        self._chain = Chain.of(joint_geometry(model), model.gravity.linear)
+        self._regressors: dict[bytes, Regressor] = {}
+        self.name = name
+        self.n = int(model.nv)
         self._loaded: tuple[Payload, RobotModel] | None = None
         self.arm = arm
         self.payloads = payloads
@@ -157,6 +182,139 @@ class RobotModel(RigidBodies):
         model.appendBodyToJoint(frame.parentJoint, body, frame.placement)
         return model
 
+    def inverse_dynamics(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
+        """(N, n) joint torques for the motion, rotor inertias included."""
+        rows = self._rows(q, qd, qdd)
+        if compiles(len(q)):
+            return self._recursion(self.parameters(), *rows)
+        out = np.empty(rows[0].shape)
+        for tau, *sample in zip(out, *rows, strict=True):
+            tau[:] = pin.rnea(self._model, self._data, *sample)
+        return out
+
+    def inverse_dynamics_derivatives(
+        self, q: FloatArray, qd: FloatArray, qdd: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Each (N, n, n): how row i of the joint torques changes with q, qd and qdd of joint j."""
+        rows = self._rows(q, qd, qdd)
+        out = np.empty((3, *rows[0].shape, self.n))
+        for k, sample in enumerate(zip(*rows, strict=True)):
+            out[:, k] = pin.computeRNEADerivatives(self._model, self._data, *sample)
+        return out[0], out[1], out[2]
+
+    def torque(
+        self, parameters: FloatArray, q: FloatArray, qd: FloatArray, qdd: FloatArray
+    ) -> FloatArray:
+        """(N, n) regressor times parameters (11·n,), without the regressor.
+
+        Any parameters will do, those `BaseParameters.expand` makes of base parameters too.
+        """
+        rows = self._rows(q, qd, qdd)
+        if compiles(len(q)):
+            return self._recursion(np.asarray(parameters), *rows)
+        return (self.regressor(*rows) @ parameters).reshape(rows[0].shape)
+
+    def _recursion(self, parameters: FloatArray, *rows: FloatArray) -> FloatArray:
+        from hil.dynamics.compiled import fill_torques
+
+        q, qd, qdd = rows
+        bodies, rotors = np.split(parameters, [len(PARAMETERS) * self.n])
+        out = np.empty(q.shape)
+        fill_torques(self._chain, q, qd, qdd, bodies.reshape(self.n, -1), rotors, out)
+        return out
+
+    def momentum(
+        self, parameters: FloatArray, q: FloatArray, qd: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Momentum M(q) q̇ [N·m·s] and Cᵀ(q, q̇) q̇ [N·m], each (N, n), of any parameters (11·n,)."""
+        return momentum(self._chain, np.asarray(parameters), *self._rows(q, qd))
+
+    def loaded_parameters(self, parameters: FloatArray, payload: Payload) -> FloatArray:
+        """(11·n,) parameters with a load fixed to the flange."""
+        last = slice((self.n - 1) * len(PARAMETERS), self.n * len(PARAMETERS))
+        X = transfer_matrix(pose_of(self._model.frames[self._flange].placement))
+        loaded = np.array(parameters, dtype=np.float64)
+        loaded[last] += X @ payload_parameters(payload)
+        return loaded
+
+    def gravity(self, q: FloatArray) -> FloatArray:
+        """(N, n) joint torques that hold the arm still."""
+        (rows,) = self._rows(q)
+        out = np.empty(rows.shape)
+        for tau, sample in zip(out, rows, strict=True):
+            tau[:] = pin.computeGeneralizedGravity(self._model, self._data, sample)
+        return out
+
+    def mass_matrix(self, q: FloatArray) -> FloatArray:
+        """(N, n, n) joint-space inertia, rotor inertias included."""
+        (rows,) = self._rows(q)
+        out = np.empty((len(rows), self.n, self.n))
+        for M, sample in zip(out, rows, strict=True):
+            M[:] = pin.crba(self._model, self._data, sample)
+        upper = np.triu(out)
+        return upper + np.swapaxes(np.triu(out, 1), 1, 2)
+
+    def regressor(
+        self,
+        q: FloatArray,
+        qd: FloatArray,
+        qdd: FloatArray,
+        *,
+        rotor: bool = True,
+        columns: IntArray | None = None,
+    ) -> FloatArray:
+        """(N·n, p) W with W @ parameters = inverse dynamics; p = 10·n, plus n with `rotor`.
+
+        Args:
+            q: (N, n), with qd and qdd the motion.
+            qd: (N, n).
+            qdd: (N, n).
+            rotor: Whether the columns of the rotor inertias, which hold qdd, are among them.
+            columns: (k,) only these, ascending, such as those of base parameters; then p = k.
+                The others are not computed.
+        """
+        count = (len(PARAMETERS) + rotor) * self.n
+        wanted = np.arange(count) if columns is None else np.asarray(columns)
+        key = wanted.tobytes()
+        if key not in self._regressors:
+            self._regressors[key] = Regressor(self._model, self._chain, wanted)
+        return self._regressors[key](*self._rows(q, qd, qdd))
+
+    def gravity_regressor(self, q: FloatArray) -> FloatArray:
+        """(N·n, 10·n) W with W @ parameters(rotor=False) = gravity torques."""
+        still = np.zeros(np.shape(q))
+        return self.regressor(q, still, still, rotor=False)
+
+    def parameters(self, *, rotor: bool = True) -> FloatArray:
+        """(p,) parameters in the order of the regressor's columns."""
+        bodies = [np.array(body.toDynamicParameters()) for body in self._model.inertias]
+        rotors = [np.array(self._model.armature)] if rotor else []
+        return np.concatenate([*bodies[1:], *rotors])
+
+    def parameter_names(self, *, rotor: bool = True) -> tuple[str, ...]:
+        """Names such as `m_1`, `mx_1`, …, `Izz_6`, `Ia_1` in the order of the columns."""
+        joints = range(1, self.n + 1)
+        bodies = tuple(f"{name}_{joint}" for joint in joints for name in PARAMETERS)
+        return bodies + tuple(f"Ia_{joint}" for joint in joints if rotor)
+
+    @property
+    def columns_key(self) -> tuple[bytes, ...]:
+        """What a regressor's columns depend on: joints and gravity, not what the links weigh."""
+        return tuple(constants.tobytes() for constants in self._chain)
+
+    def flange_pose(self, q: FloatArray) -> FloatArray:
+        """(N, 4, 4) pose of the flange in the base frame."""
+        (rows,) = self._rows(q)
+        out = np.empty((len(rows), 4, 4))
+        for pose, sample in zip(out, rows, strict=True):
+            pin.framesForwardKinematics(self._model, self._data, sample)
+            pose[:] = pose_of(self._data.oMf[self._flange])
+        return out
+
+    def joint_geometry(self) -> JointGeometry:
+        """Where the joints are, for code that cannot have Pinocchio."""
+        return joint_geometry(self._model)
+
     def payload_effort(
         self, payload: Payload, q: FloatArray, qd: FloatArray, qdd: FloatArray
     ) -> FloatArray:
@@ -173,23 +331,16 @@ class RobotModel(RigidBodies):
         W = self.regressor(q, qd, qdd, columns=np.arange((self.n - 1) * body, self.n * body))
         return W @ transfer_matrix(pose_of(self._model.frames[self._flange].placement))
 
-
-def load_model(
-    name_or_path: str | Path,
-    rotor_inertia: Sequence[float] | FloatArray | None = None,
-    gravity: Sequence[float] = GRAVITY,
-) -> RobotModel:
-    """A built-in arm by name, or a URDF or a description of an arm by path.
-
-    Raises:
-        SpecError: Neither exists, or the URDF cannot be used.
-    """
-    text = str(name_or_path)
-    if is_description(text):
-        return RobotModel.from_arm(text, rotor_inertia, gravity)
-    if Path(text).suffix or "/" in text or Path(text).is_file():
-        return RobotModel.from_urdf(text, rotor_inertia, gravity)
-    return RobotModel.from_arm(text, rotor_inertia, gravity)
+    def _rows(self, *arrays: FloatArray) -> tuple[FloatArray, ...]:
+        rows = tuple(np.ascontiguousarray(array, dtype=np.float64) for array in arrays)
+        shapes = [array.shape for array in rows]
+        if any(len(s) != 2 or s[1] != self.n or s != shapes[0] for s in shapes):
+            raise DataError(
+                f"the model {self.name} takes rows of {self.n} joints, all arrays alike; "
+                f"it got the shapes {', '.join(map(str, shapes))}",
+                hint="check that the data were recorded on this robot",
+            )
+        return rows
 
 
 def _configure(
@@ -209,6 +360,12 @@ def _configure(
     model.armature = armature
 
 
+def _payload(document: Mapping[str, Any]) -> Payload:
+    return Payload(
+        float(document["mass_kg"]), tuple(document["com_m"]), tuple(document["inertia_kgm2"])
+    )
+
+
 def _payload_document(load: Payload) -> dict[str, Any]:
     return {
         "mass_kg": load.mass,
@@ -217,10 +374,22 @@ def _payload_document(load: Payload) -> dict[str, Any]:
     }
 
 
-def _payload(document: Mapping[str, Any]) -> Payload:
-    return Payload(
-        float(document["mass_kg"]), tuple(document["com_m"]), tuple(document["inertia_kgm2"])
-    )
+def load_model(
+    name_or_path: str | Path,
+    rotor_inertia: Sequence[float] | FloatArray | None = None,
+    gravity: Sequence[float] = GRAVITY,
+) -> RobotModel:
+    """A built-in arm by name, or a URDF or a description of an arm by path.
+
+    Raises:
+        SpecError: Neither exists, or the URDF cannot be used.
+    """
+    text = str(name_or_path)
+    if is_description(text):
+        return RobotModel.from_arm(text, rotor_inertia, gravity)
+    if Path(text).suffix or "/" in text or Path(text).is_file():
+        return RobotModel.from_urdf(text, rotor_inertia, gravity)
+    return RobotModel.from_arm(text, rotor_inertia, gravity)
 
 
 class CoupledModel(RobotModel):
@@ -292,7 +461,7 @@ class CoupledModel(RobotModel):
 
     @property
     def columns_key(self) -> tuple[bytes, ...]:
-        """What a regressor's columns depend on; see `RigidBodies.columns_key`."""
+        """What a regressor's columns depend on; see `RobotModel.columns_key`."""
         return (*super().columns_key, b"motors", self._T.tobytes())
 
     def joints(self, *motors: FloatArray) -> tuple[FloatArray, ...]:
@@ -386,3 +555,72 @@ def _box(matrix: FloatArray, low: FloatArray, high: FloatArray) -> tuple[FloatAr
     """Lowest and highest value of every row of matrix·x over low ≤ x ≤ high."""
     ends = np.stack([matrix * low, matrix * high])
     return ends.min(axis=0).sum(axis=1), ends.max(axis=0).sum(axis=1)
+
+
+APART_M, APART_RAD = 0.01, 0.05
+"""By as much the axes of one arm may differ between two descriptions: a calibrated one, say."""
+
+
+def may_be(name: str, robot: RobotModel) -> bool:
+    """Whether data of the robot `name` may be of `robot`.
+
+    Built-in arms are told apart by name. A URDF, whose path says nothing, is told from another
+    robot by how far apart and how inclined each joint's axis is to the next one's; one that cannot
+    be read here, and a name that nobody knows, may be any robot.
+
+    Args:
+        name: Built-in arm, path of a URDF, or nothing.
+        robot: The model.
+    """
+    given, own = name.removesuffix(MOTOR_SIDE), robot.name.removesuffix(MOTOR_SIDE)
+    if not given or given == own:
+        return True
+    other = _axes_of(given)
+    if other is None:
+        return True
+    built_in = robot.arm is not None and not _is_file(given)
+    return not built_in and _alike(other, _axes(robot))
+
+
+@lru_cache(maxsize=32)
+def _axes_of(name: str) -> tuple[FloatArray, FloatArray] | None:
+    try:
+        return _axes(load_model(name))
+    except (SpecError, DataError, OSError):
+        return None
+
+
+def _axes(robot: RobotModel) -> tuple[FloatArray, FloatArray]:
+    """(n − 1,) distances [m] and angles [rad] between consecutive axes: no convention counts."""
+    geometry = robot.joint_geometry()
+    at, lines = np.eye(4), []
+    for placement, axis in zip(geometry.placement, geometry.axis, strict=True):
+        at = at @ placement
+        lines.append((at[:3, 3], at[:3, :3] @ axis))
+    pairs = [_between(*one, *two) for one, two in pairwise(lines)]
+    slides = ~(geometry.turns[1:] & geometry.turns[:-1])
+    apart, inclined = np.array(pairs).reshape(-1, 2).T
+    return np.where(slides, 0.0, apart), inclined  # what slides is anywhere on its axis
+
+
+def _between(
+    p: FloatArray, axis: FloatArray, other: FloatArray, other_axis: FloatArray
+) -> tuple[float, float]:
+    """Distance and angle of two lines, each by a point and a direction of length 1."""
+    across = np.cross(axis, other_axis)
+    size = float(np.linalg.norm(across))
+    inclined = float(np.arcsin(min(size, 1.0)))
+    if inclined < APART_RAD:
+        return float(np.linalg.norm(np.cross(other - p, axis))), inclined
+    return abs(float((other - p) @ across)) / size, inclined
+
+
+def _is_file(name: str) -> bool:
+    return bool(Path(name).suffix) or "/" in name
+
+
+def _alike(one: tuple[FloatArray, FloatArray], other: tuple[FloatArray, FloatArray]) -> bool:
+    if one[0].shape != other[0].shape:
+        return False
+    pairs = zip(one, other, (APART_M, APART_RAD), strict=True)
+    return all(np.allclose(a, b, rtol=0.0, atol=limit) for a, b, limit in pairs)

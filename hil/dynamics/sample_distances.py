@@ -15,8 +15,7 @@ import pinocchio as pin
 from hil.arms import ArmDescription, Capsule
 from hil.core import FloatArray
 from hil.dynamics.build import model_from_arm
-from hil.dynamics.collision import CollisionModel
-from hil.dynamics.environment import Box, Plane
+from hil.dynamics.collision import Box, CollisionModel, Plane
 
 
 class SampleDistances:

@@ -45,7 +45,7 @@ LEAST_HARMONICS = 2
 class Distances(Protocol):
     """Distances that follow from the joint positions.
 
-    `hil.dynamics.collision.CollisionModel` and `hil.dynamics.flange.FlangeSpace` are such.
+    `hil.dynamics.CollisionModel` and `hil.dynamics.FlangeSpace` are such.
     """
 
     @property
@@ -292,7 +292,7 @@ class ValueOf:
 
     Attributes:
         evaluations: So far.
-        stages: Sharpness of `hil.dynamics.information.log_condition`, stage by stage.
+        stages: Sharpness of `hil.dynamics.base.log_condition`, stage by stage.
     """
 
     def __init__(self, problem: ExcitationProblem) -> None:

@@ -26,7 +26,7 @@ LIMIT_TOLERANCE_RAD = 1e-9
 
 
 class Clearance(Protocol):
-    """What is needed of a collision model (`hil.dynamics.collision.CollisionModel`)."""
+    """What is needed of a collision model (`hil.dynamics.CollisionModel`)."""
 
     def clearance(self, q: FloatArray) -> FloatArray:
         """(N,) smallest distance [m] at each of `q` (N, n); negative where bodies overlap."""
@@ -48,7 +48,7 @@ def beyond_range(
 
 
 class Space(Protocol):
-    """Distances of the flange to the faces it has to stay inside (`hil.dynamics.flange`)."""
+    """Distances of the flange to the faces it has to stay inside (`hil.dynamics.FlangeSpace`)."""
 
     @property
     def names(self) -> Sequence[tuple[str, str]]:
