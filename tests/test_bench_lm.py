@@ -9,7 +9,7 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from hil.cli import benchmarking
-from hil.networks.lm.network import Mlp
+from hil.networks.mlp import Mlp
 
 ROOT = Path(__file__).parents[1]
 
@@ -102,7 +102,7 @@ def test_six_joints_and_a_thousand_epochs_take_under_three_minutes_on_two_cores(
     """CPU time on one core, twice what two cores need: a busy machine is no excuse then."""
     import time
 
-    from hil.networks.lm.train import train
+    from hil.networks.lm import train
 
     random = np.random.default_rng(0)
     # Poses approached from both sides, whose friction differs: a target that no function of the

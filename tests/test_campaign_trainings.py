@@ -18,7 +18,7 @@ from hil.core.errors import CheckpointRefused, DataError, Stopped
 from hil.engine import Observers, Outcome
 from hil.engine.signals import SignalWatch, StopSignal
 from hil.estimators.static import StaticWls
-from hil.networks.training_loop.problem import KeptIfPossible, Told
+from hil.networks.training import KeptIfPossible, Told
 from hil.recording.run_directory import RunDirectory
 from hil.spec.experiment import Fit
 from hil.spec.load import load_spec

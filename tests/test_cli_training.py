@@ -15,7 +15,7 @@ import hil
 from hil.cli.app import app
 from hil.cli.training_line import EVERY_S, TrainingLine
 from hil.core.errors import SpecError
-from hil.networks.training_loop.problem import Told
+from hil.networks.training import Told
 
 SMALL = {
     "network": {"hidden": [8, 8]},

@@ -12,7 +12,7 @@ from hil.core.errors import DataError, FitError, SpecError
 from hil.data.splits import split
 from hil.estimators import load_model_file
 from hil.estimators.static import PAPER_PROTOCOL, StaticWls
-from hil.networks.lm.scaling import ConstantInputWarning
+from hil.networks.lm import ConstantInputWarning
 from hil.networks.static_network import StaticMlpLm
 
 POSITIONS = ["q2", "q3", "q4", "q5"]

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from hil.core.errors import SpecError
-from hil.networks.lm.arrays import numpy_arrays
-from hil.networks.lm.network import Mlp
+from hil.networks.mlp import Mlp, NumpyArrays
 
 PAPER = ("linear", "tanh", "tanh", "linear")
 LAYOUTS = [
@@ -87,7 +86,7 @@ def test_jacobian_equals_torchs() -> None:
 @pytest.mark.parametrize("rows", [5, 700])
 def test_products_from_the_factors_equal_those_of_the_jacobian(rows) -> None:
     """More rows than one piece of the Jacobian and one block of the kernel hold."""
-    mlp, arrays = Mlp((4, 6, 5, 3, 1), PAPER), numpy_arrays("float64")
+    mlp, arrays = Mlp((4, 6, 5, 3, 1), PAPER), NumpyArrays("float64")
     weights, X = weights_and_inputs(mlp, rows=rows)
     at = mlp.forward(weights, arrays.inputs(X), arrays).linearised()
     J, random = mlp.jacobian(weights, X), np.random.default_rng(0)

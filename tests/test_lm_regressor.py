@@ -5,10 +5,10 @@ import pytest
 from sklearn.model_selection import cross_val_score
 from sklearn.utils.estimator_checks import check_estimator
 
-from hil.networks.lm.regressor import LevenbergMarquardtRegressor
+from hil.networks.lm_regressor import LevenbergMarquardtRegressor
 
 
-@pytest.mark.filterwarnings("ignore::hil.networks.lm.scaling.ConstantInputWarning")
+@pytest.mark.filterwarnings("ignore::hil.networks.lm.ConstantInputWarning")
 @pytest.mark.filterwarnings("ignore::sklearn.exceptions.SkipTestWarning")
 def test_check_estimator_passes() -> None:
     check_estimator(LevenbergMarquardtRegressor(hidden=(5,), epochs=20))

@@ -7,13 +7,18 @@ import numpy as np
 import pytest
 
 from hil.core.errors import FitError, SpecError
-from hil.networks.lm.arrays import numpy_arrays
-from hil.networks.lm.network import Mlp
-from hil.networks.lm.rows import averaged, checked_rows, equal_inputs
-from hil.networks.lm.scaling import ConstantInputWarning
-from hil.networks.lm.settings import Damping
-from hil.networks.lm.steps import Dual, Primal, dual_is_faster
-from hil.networks.lm.train import train
+from hil.networks.lm import (
+    ConstantInputWarning,
+    Damping,
+    Dual,
+    Primal,
+    averaged,
+    checked_rows,
+    dual_is_faster,
+    equal_inputs,
+    train,
+)
+from hil.networks.mlp import Mlp, NumpyArrays
 
 MLP = Mlp((2, 8, 6, 1))
 
@@ -138,7 +143,7 @@ def test_a_weight_counts_as_so_many_rows() -> None:
 
 @pytest.mark.parametrize("decay", [0.0, 0.02])
 def test_dual_step_equals_primal_step(decay) -> None:
-    arrays, random = numpy_arrays("float64"), np.random.default_rng(5)
+    arrays, random = NumpyArrays("float64"), np.random.default_rng(5)
     weights = np.stack([MLP.initial(0, b) for b in range(2)])
     passed = MLP.forward(weights, arrays.inputs(random.normal(size=(20, 2))), arrays)
     at, residual = passed.linearised(random.uniform(0.1, 1.0, 20)), random.normal(size=(2, 20))
@@ -151,7 +156,7 @@ def test_dual_step_equals_primal_step(decay) -> None:
 
 
 def test_step_solves_the_damped_normal_equations() -> None:
-    arrays, random = numpy_arrays("float64"), np.random.default_rng(5)
+    arrays, random = NumpyArrays("float64"), np.random.default_rng(5)
     weights, X = MLP.initial(0)[None], random.normal(size=(200, 2))
     at = MLP.forward(weights, arrays.inputs(X), arrays).linearised()
     residual, decay, damping = random.normal(size=(1, 200)), 0.3, 0.05
@@ -252,8 +257,8 @@ def test_processes_end_when_their_parent_is_killed(tmp_path) -> None:
     script = tmp_path / "parent.py"
     script.write_text(
         "import numpy as np\n"
-        "from hil.networks.lm.network import Mlp\n"
-        "from hil.networks.lm.train import train\n"
+        "from hil.networks.mlp import Mlp\n"
+        "from hil.networks.lm import train\n"
         "def told(epoch):\n"
         "    print(epoch.network, flush=True)\n"
         "if __name__ == '__main__':\n"

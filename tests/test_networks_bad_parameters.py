@@ -19,7 +19,7 @@ from hil.estimators import estimator
 from hil.estimators.parameters import settings
 from hil.importers import import_recording
 from hil.networks.lagrangian.settings import NetworkSettings
-from hil.networks.training_loop.settings import TrainingSettings
+from hil.networks.training import TrainingSettings
 from hil.studies.base import study
 
 OF_NO_USE = [

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.networks.training_loop.curves import Curves
-from hil.networks.training_loop.problem import Told
+from hil.networks.training import Curves, Told
 from hil.report import colours
 from hil.report.encode import figure_json
 from hil.report.fit_facts import FitFacts

@@ -12,7 +12,7 @@ from synthetic_motion import nominal
 pytest.importorskip("torch", reason="torch is not installed")
 
 from hil.networks.residual_network import ResidualNetwork
-from hil.networks.training_loop.problem import Told
+from hil.networks.training import Told
 
 pytestmark = pytest.mark.quick
 

@@ -12,9 +12,8 @@ from hil.networks.residual.motions import Motions
 torch = pytest.importorskip("torch", reason="torch is not installed")
 
 from hil.networks.residual.problem import ResidualProblem  # noqa: E402
-from hil.networks.training_loop.loop import train  # noqa: E402
-from hil.networks.training_loop.settings import TrainingSettings  # noqa: E402
-from hil.networks.training_loop.stages import joint_stages  # noqa: E402
+from hil.networks.training import TrainingSettings, joint_stages  # noqa: E402
+from hil.networks.training_loop import train  # noqa: E402
 
 
 def stepped(made, steps: int = 5, rate: float = 3e-3) -> None:

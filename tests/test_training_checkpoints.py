@@ -15,12 +15,15 @@ torch = pytest.importorskip("torch", reason="torch is not installed")
 from safetensors.torch import load, save  # noqa: E402
 
 from hil.estimators.model_writer import json_bytes  # noqa: E402
-from hil.networks.training_loop import checkpoint  # noqa: E402
-from hil.networks.training_loop.checkpoint import FILE, Checkpoints  # noqa: E402
-from hil.networks.training_loop.curves import Curves  # noqa: E402
-from hil.networks.training_loop.loop import train  # noqa: E402
-from hil.networks.training_loop.settings import TrainingSettings  # noqa: E402
-from hil.networks.training_loop.stages import hybrid_stages, joint_stages  # noqa: E402
+from hil.networks import checkpoint  # noqa: E402
+from hil.networks.checkpoint import FILE, Checkpoints  # noqa: E402
+from hil.networks.training import (  # noqa: E402
+    Curves,
+    TrainingSettings,
+    hybrid_stages,
+    joint_stages,
+)
+from hil.networks.training_loop import train  # noqa: E402
 from tests.training_parts import SmallProblem, Watched, equal, weights  # noqa: E402
 
 SETTINGS = TrainingSettings(epochs=12, batch_size=32, loops=1, patience=4, warm_up_steps=3)

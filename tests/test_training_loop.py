@@ -8,11 +8,8 @@ from hil.core.errors import FitError, SpecError
 
 torch = pytest.importorskip("torch", reason="torch is not installed")
 
-from hil.networks.training_loop.device import torch_device  # noqa: E402
-from hil.networks.training_loop.loop import train  # noqa: E402
-from hil.networks.training_loop.settings import TrainingSettings  # noqa: E402
-from hil.networks.training_loop.stages import Stage, hybrid_stages, joint_stages  # noqa: E402
-from hil.networks.training_loop.steps import Steps  # noqa: E402
+from hil.networks.training import Stage, TrainingSettings, hybrid_stages, joint_stages  # noqa: E402
+from hil.networks.training_loop import Steps, torch_device, train  # noqa: E402
 from tests.training_parts import LEARN, SmallProblem, Watched, equal, weights  # noqa: E402
 
 pytestmark = pytest.mark.quick

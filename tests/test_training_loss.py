@@ -7,13 +7,11 @@ import pytest
 
 from hil.core.errors import SpecError
 from hil.estimators.parameters import settings
-from hil.networks.training_loop.curves import Curves, sparkline
-from hil.networks.training_loop.problem import Told
-from hil.networks.training_loop.settings import TrainingSettings
+from hil.networks.training import Curves, Told, TrainingSettings, sparkline
 
 torch = pytest.importorskip("torch", reason="torch is not installed")
 
-from hil.networks.training_loop.loss import Loss  # noqa: E402
+from hil.networks.training_loop import Loss  # noqa: E402
 
 SCALE = np.array([10.0, 2.0])
 

@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import torch
 
-from hil.networks.training_loop.loss import Loss
-from hil.networks.training_loop.problem import Told
+from hil.networks.training import Told
+from hil.networks.training_loop import Loss
 
 LEARN = 160
 ALL = 240

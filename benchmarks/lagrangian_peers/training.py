@@ -21,9 +21,8 @@ from hil.networks.lagrangian.model import NetworkModel
 from hil.networks.lagrangian.settings import NetworkSettings
 from hil.networks.lagrangian.task import Preparation, Task
 from hil.networks.lagrangian.tensors import Rows, tensor_rows
-from hil.networks.training_loop.loop import train
-from hil.networks.training_loop.problem import Told
-from hil.networks.training_loop.settings import TrainingSettings
+from hil.networks.training import Told, TrainingSettings
+from hil.networks.training_loop import train
 
 ARM, TRAJECTORIES, QUICK_TRAJECTORIES = "ur5", 9, 3
 SIGN_WIDTH = 0.01

@@ -15,9 +15,8 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from hil.core.typing import FloatArray, IntArray
-from hil.networks.lm.network import Mlp
-from hil.networks.lm.rows import checked_rows
-from hil.networks.lm.scaling import Scaling
+from hil.networks.lm import Scaling, checked_rows
+from hil.networks.mlp import Mlp
 
 LAYERS = (4, 20, 20, 10, 1)
 SAMPLES = 10

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from benchmarks.lm_peers.course import LAYERS, Problem, Stopwatch, Terms
-from hil.networks.lm.network import Mlp
-from hil.networks.lm.train import train
+from hil.networks.lm import train
+from hil.networks.mlp import Mlp
 
 
 def solve(terms: Terms, rows: Problem, watch: Stopwatch, **settings: Any) -> None:

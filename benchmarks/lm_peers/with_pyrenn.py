@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmarks.lm_peers.course import LAYERS, Problem, Stopwatch, Terms, contest, skip
 from hil.core.typing import FloatArray
-from hil.networks.lm.network import Mlp
+from hil.networks.mlp import Mlp
 
 
 def pyrenn_module() -> Any:

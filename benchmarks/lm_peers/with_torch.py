@@ -10,8 +10,8 @@ from importlib.util import find_spec
 from typing import Any
 
 from benchmarks.lm_peers.course import LAYERS, Problem, Stopwatch, Terms, contest, skip
-from hil.networks.lm.network import Mlp
-from hil.networks.lm.settings import Damping
+from hil.networks.lm import Damping
+from hil.networks.mlp import Mlp
 
 
 def output_of() -> Callable[[Any, Any], Any]:

@@ -38,11 +38,10 @@ from hil.networks.lagrangian.direction import DIRECTION
 from hil.networks.lagrangian.fitted import LagrangianModel
 from hil.networks.lagrangian.friction_settings import FRICTIONS
 from hil.networks.lagrangian.task import Preparation
-from hil.networks.training_loop.extra import LEARN, TO_TRAIN, require_torch
-from hil.networks.training_loop.settings import TrainingSettings
+from hil.networks.training import LEARN, TO_TRAIN, TrainingSettings, require_torch
 
 if TYPE_CHECKING:
-    from hil.networks.training_loop.problem import Watch
+    from hil.networks.training import Watch
 
 
 class LagrangianEstimator(LagrangianModel):

@@ -43,13 +43,17 @@ from hil.networks.residual.out_of_fold import Physics, physics_of
 from hil.networks.residual.settings import GROUP, TRAINING, ResidualSettings
 from hil.networks.residual.stored import made, require_base, told
 from hil.networks.residual.words import filters_for, words
-from hil.networks.training_loop.attached import attach_inside
-from hil.networks.training_loop.extra import LEARN, TO_TRAIN, require_torch
-from hil.networks.training_loop.settings import TrainingSettings
-from hil.networks.training_loop.stages import require_groups
+from hil.networks.training import (
+    LEARN,
+    TO_TRAIN,
+    TrainingSettings,
+    attach_inside,
+    require_groups,
+    require_torch,
+)
 
 if TYPE_CHECKING:
-    from hil.networks.training_loop.problem import Watch
+    from hil.networks.training import Watch
 
 BASE = {"estimator": "rigid-hysteresis"}
 

@@ -3,7 +3,15 @@
 The networks are trained by our own Levenberg–Marquardt (`hil.networks.lm`) on the residual current
 of the dwells. With the joint positions as their only inputs they can learn what friction does on
 average over poses like these, but not which way it is stuck: that depends on how the pose was
-approached. `inputs` can hold the approach and the history of a dwell as well.
+approached. `inputs` can therefore hold more than positions:
+
+- `q2`: a column of the dataset and the number of a joint, from 1;
+- `approach`: +1 or −1, from which side the pose was approached; 0 where that is not known;
+- `history`: any other column (N, n) of the dataset as a whole, n inputs;
+- `own:history`: of such a column only the joint whose network it is, 1 input.
+
+Not the effort itself, in none of its forms: a network that is shown the current predicts nothing.
+The commanded effort is no better: at rest it is the measured one without the noise.
 
 A network of 741 weights remembers 650 poses without effort, so training stops by poses that are
 held out from it (`validation_percent`), whole poses, not samples.
@@ -11,15 +19,16 @@ held out from it (`validation_percent`), whole poses, not samples.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, fields
 from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from hil.arms import Payload
-from hil.core import FitError, FloatArray, IntArray, SpecError
-from hil.data import Dataset, Prediction, Stream
+from hil.core import DataError, FitError, FloatArray, IntArray, SpecError
+from hil.data import Dataset, Prediction, Stream, split
 from hil.dynamics import RobotModel
 from hil.estimators import (
     Form,
@@ -31,19 +40,8 @@ from hil.estimators import (
     one_row_each,
     whole,
 )
-from hil.networks.lm.arrays import Precision
-from hil.networks.lm.network import Mlp
-from hil.networks.lm.settings import Settings
-from hil.networks.lm.train import train
-from hil.networks.lm.trained import Callback
-from hil.networks.network_inputs import (
-    checked_names,
-    network_inputs,
-    position_inputs,
-    positions_only,
-    require_layout,
-)
-from hil.networks.network_result import NetworkResult, arrays_of, held_out_poses, networks_from
+from hil.networks.lm import Callback, History, Scaling, Settings, Trained, train
+from hil.networks.mlp import Mlp, Precision
 
 FRICTION = "friction"
 
@@ -54,7 +52,7 @@ class StaticMlpLm(StaticModel):
     Args:
         layers: Units per layer of every joint's network, inputs first.
         activations: One per layer behind the inputs; None is tanh, and a linear output.
-        inputs: What the networks see, see `hil.networks.network_inputs`.
+        inputs: What the networks see, see `hil.networks.static_network`.
         epochs: Of training, at most.
         validation_percent: Of the training poses, held out from the networks to stop by; 0: none.
             The gravity fit sees them.
@@ -222,3 +220,180 @@ class StaticMlpLm(StaticModel):
             "precision": self.precision,
             "device": self.device,
         }
+
+
+APPROACH = "approach"
+OWN = "own:"
+
+TARGETS = ("effort", "current", "torque")
+"""Columns whose names hold one of these are what is to be predicted, or made of it."""
+
+
+def checked_names(names: Any) -> list[str]:
+    """Names as a list.
+
+    Raises:
+        SpecError: It is no list of names, is empty, a name occurs twice, or it is the effort.
+    """
+    if isinstance(names, str) or not isinstance(names, list | tuple) or not names:
+        raise SpecError(f"inputs is {names!r}, but must be a list of names such as [q2, approach]")
+    wrong = [name for name in names if not isinstance(name, str) or not name]
+    if wrong:
+        raise SpecError(f"inputs: {wrong[0]!r} is no name of a column")
+    if len(set(names)) != len(names):
+        raise SpecError(f"inputs: {max(names, key=names.count)} is there twice")
+    _require_no_target(names)
+    return list(names)
+
+
+def _require_no_target(names: list[str] | tuple[str, ...]) -> None:
+    for name in names:
+        if any(target in name.lower() for target in TARGETS):
+            raise SpecError(
+                f"inputs: {name!r} is the effort that is to be predicted, or made of it: the model "
+                "would be given its answer",
+                hint="use positions, velocities, temperature, approach, or columns of your own "
+                "that are known without measuring or commanding an effort",
+            )
+
+
+def positions_only(names: list[str]) -> bool:
+    """Whether the inputs follow from the joint positions alone."""
+    return all(name == "q" or re.fullmatch(r"q\d+", name) for name in names)
+
+
+def position_inputs(q: FloatArray, names: list[str]) -> FloatArray:
+    """(N, d) inputs that follow from positions (N, n) alone, see `positions_only`."""
+    return np.concatenate(
+        [q if name == "q" else q[:, int(name[1:]) - 1, None] for name in names], 1
+    )
+
+
+def network_inputs(dataset: Dataset, names: list[str]) -> FloatArray:
+    """(N, d) inputs, or (n, N, d) when joints have inputs of their own.
+
+    Raises:
+        DataError: The dataset has no such column, or the robot no such joint.
+    """
+    parts = [_columns(dataset, name) for name in names]
+    if all(part.ndim == 2 for part in parts):
+        return np.concatenate(parts, axis=1)
+    joints = dataset.n_joints
+    shared = [np.broadcast_to(p, (joints, *p.shape)) if p.ndim == 2 else p for p in parts]
+    return np.concatenate(shared, axis=2)
+
+
+_NUMBERED = re.compile(r"([A-Za-z_]+)(\d+)")
+
+
+def _columns(dataset: Dataset, name: str) -> FloatArray:
+    """(N, k), or (n, N, 1) for a joint's own."""
+    if name.startswith(OWN):
+        values = _column(dataset, name.removeprefix(OWN))
+        if values.shape[1] != dataset.n_joints:
+            raise DataError(f"input {name}: the column does not have one value per joint")
+        return np.ascontiguousarray(values.T)[:, :, None]
+    numbered = _NUMBERED.fullmatch(name)
+    if name == APPROACH or name in dataset.columns or numbered is None:
+        return _column(dataset, name)
+    values, joint = _column(dataset, numbered[1]), int(numbered[2])
+    if not 1 <= joint <= values.shape[1]:
+        raise DataError(
+            f"input {name}: there is no joint {joint}",
+            hint=f"joints are counted from 1 to {values.shape[1]}",
+        )
+    return values[:, joint - 1 : joint]
+
+
+def _column(dataset: Dataset, name: str) -> FloatArray:
+    """(N, k)."""
+    if name == APPROACH and name not in dataset.columns:
+        sides = np.array([c.approach for c in dataset.conditions], dtype=np.float64)
+        return sides[dataset.series_index()][:, None]
+    try:
+        values = dataset[name]
+    except DataError as error:
+        raise DataError(
+            f"input {name!r} of the network: {error.message}", hint=error.hint
+        ) from error
+    return values.reshape(len(dataset), -1)
+
+
+def require_layout(X: FloatArray, first: int, names: list[str]) -> None:
+    """Refuse inputs (N, d) or (n, N, d) that are more or fewer than the first of the layers.
+
+    Raises:
+        FitError: They are.
+    """
+    if X.shape[-1] != first:
+        raise FitError(
+            f"layers begins with {first}, but {', '.join(names)} are {X.shape[-1]} inputs",
+            hint=f"use layers: [{X.shape[-1]}, …]",
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkResult:
+    """How the training of one joint's network went, as `model.json` keeps it.
+
+    Attributes:
+        epochs: Done.
+        best_epoch: Whose weights were kept.
+        stopped: Why it ended, see `hil.networks.lm.History`.
+        train_rmse, validation_rmse: Of the weights kept, over all rows, in effort units; None
+            without validation poses.
+    """
+
+    epochs: int
+    best_epoch: int
+    stopped: str
+    train_rmse: float
+    validation_rmse: float | None
+
+    @staticmethod
+    def of(history: History) -> NetworkResult:
+        """From the history of a training."""
+        held_out = history.final_validation_rmse
+        return NetworkResult(
+            history.epochs, history.best_epoch, history.stopped, history.final_train_rmse,
+            held_out if np.isfinite(held_out) else None,
+        )  # fmt: skip
+
+    @staticmethod
+    def restored(fact: dict[str, Any]) -> NetworkResult:
+        """From what `model.json` says of one network."""
+        return NetworkResult(**{each.name: fact[each.name] for each in fields(NetworkResult)})
+
+
+_SCALING = tuple(each.name for each in fields(Scaling))
+
+
+def arrays_of(networks: Trained) -> dict[str, FloatArray]:
+    """Weights and scaling, by their names in a model file."""
+    scaling = {name: getattr(networks.scaling, name) for name in _SCALING}
+    arrays = {"weights": networks.weights, **scaling}
+    return {f"network.{name}": values for name, values in arrays.items()}
+
+
+def networks_from(mlp: Mlp, arrays: dict[str, FloatArray]) -> Trained:
+    """Inverse of `arrays_of`; how the training went is not in it."""
+    scaling = Scaling(**{name: arrays[f"network.{name}"] for name in _SCALING})
+    return Trained(mlp, arrays["network.weights"], scaling)
+
+
+def held_out_poses(dwells: Dataset, percent: float, seed: int) -> tuple[Dataset, Dataset | None]:
+    """Dwells to train on, and those of whole poses to stop by; None with 0 %.
+
+    Raises:
+        FitError: There are not enough poses.
+    """
+    if percent == 0:
+        return dwells, None
+    try:
+        parts = split(dwells, "pose", percent / 100.0, seed)
+    except DataError as error:
+        raise FitError(
+            f"no poses can be held out to stop the training by: {error.message}",
+            hint="give more poses, or validation_percent: 0",
+        ) from error
+    return parts.train, parts.test

@@ -11,11 +11,11 @@ from hil.data import Dataset, FilterSettings, motion_rates
 from hil.estimators import settings
 from hil.networks.lagrangian.friction_settings import FrictionKind, FrictionSettings
 from hil.networks.lagrangian.settings import NetworkSettings
-from hil.networks.training_loop.settings import TrainingSettings
-from hil.networks.training_loop.stages import (
+from hil.networks.training import (
     DYNAMICS,
     FRICTION,
     Stage,
+    TrainingSettings,
     hybrid_stages,
     joint_stages,
     require_groups,

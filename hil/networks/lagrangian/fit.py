@@ -16,20 +16,15 @@ from hil.networks.lagrangian.model import NetworkModel
 from hil.networks.lagrangian.stored import weights_of
 from hil.networks.lagrangian.task import Task
 from hil.networks.lagrangian.tensors import Rows, tensor_rows
-from hil.networks.training_loop.curves import Curves
-from hil.networks.training_loop.device import torch_device, torch_dtype
-from hil.networks.training_loop.loop import train
-from hil.networks.training_loop.loss import Loss
-from hil.networks.training_loop.problem import Watch, unwatched
-from hil.networks.training_loop.settings import TrainingSettings
-from hil.networks.training_loop.stages import FRICTION, Stage
+from hil.networks.training import FRICTION, Curves, Stage, TrainingSettings, Watch, unwatched
+from hil.networks.training_loop import Loss, torch_device, torch_dtype, train
 
 VALIDATED_AT_ONCE = 4096
 """Rows of a validation pass; bounds memory."""
 
 
 class LagrangianProblem:
-    """A network and its rows, for `hil.networks.training_loop.loop.train`.
+    """A network and its rows, for `hil.networks.training_loop.train`.
 
     Args:
         module: The network, on its device.

@@ -24,8 +24,7 @@ from hil.estimators import (
 from hil.networks.lagrangian.choices import Design
 from hil.networks.lagrangian.direction import smooth_sign
 from hil.networks.lagrangian.task import MOTION, directions
-from hil.networks.training_loop.curves import Curves
-from hil.networks.training_loop.extra import require_torch
+from hil.networks.training import Curves, require_torch
 
 if TYPE_CHECKING:
     from hil.networks.lagrangian.model import NetworkModel

@@ -11,7 +11,7 @@ from hil.core import FloatArray
 from hil.estimators import advanced, carried_step, one_sample
 from hil.networks.lagrangian.direction import smooth_sign
 from hil.networks.lagrangian.model import NetworkModel, Torques
-from hil.networks.training_loop.device import reproducible
+from hil.networks.training_loop import reproducible
 
 AT_ONCE = 2048
 """Rows in one pass; bounds memory, and more are not faster."""

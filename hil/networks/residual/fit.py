@@ -19,10 +19,7 @@ from hil.networks.residual.motions import Motions, one_rate
 from hil.networks.residual.out_of_fold import Physics
 from hil.networks.residual.settings import ResidualSettings
 from hil.networks.residual.trained import TrainedTcn
-from hil.networks.training_loop.curves import Curves
-from hil.networks.training_loop.problem import Watch, unwatched
-from hil.networks.training_loop.settings import TrainingSettings
-from hil.networks.training_loop.stages import joint_stages
+from hil.networks.training import Curves, TrainingSettings, Watch, joint_stages, unwatched
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,8 +128,7 @@ def _train(
     number: int,
 ) -> tuple[TrainedTcn, Curves]:
     from hil.networks.residual.problem import ResidualProblem
-    from hil.networks.training_loop.device import torch_device, torch_dtype
-    from hil.networks.training_loop.loop import train
+    from hil.networks.training_loop import torch_device, torch_dtype, train
 
     settings = course.training.model_copy(update={"seed": course.seed + number})
     problem = ResidualProblem(

@@ -23,7 +23,7 @@ from hil.networks.residual.settings import ResidualSettings
 from hil.networks.residual.stored import arrays_of_base, facts_of_base, restored_base
 from hil.networks.residual.streaming import CorrectedStream
 from hil.networks.residual.words import protocol_of
-from hil.networks.training_loop.curves import Curves
+from hil.networks.training import Curves
 
 RESIDUAL = "residual"
 """Component of a prediction that the network adds."""

@@ -16,8 +16,8 @@ from hil.networks.residual.settings import GROUP, TRAINING, ResidualSettings
 from hil.networks.residual.split import motion_frequency, slow_and_fast
 from hil.networks.residual.tcn import CausalTcn
 from hil.networks.residual.trained import TrainedTcn
-from hil.networks.training_loop.loss import Loss
-from hil.networks.training_loop.settings import LossKind
+from hil.networks.training import LossKind
+from hil.networks.training_loop import Loss
 
 TOGETHER = 64
 """Crops validated at once; bounds memory."""

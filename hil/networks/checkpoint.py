@@ -1,4 +1,4 @@
-"""A training on disk: `checkpoint.json` says where it stands, a safetensors file holds tensors.
+"""A training on disk: `checkpoint.json` says where it stands, a safetensors file the tensors.
 
 The JSON names its tensors' file and the file's digest, and is replaced in one step, so a crash
 leaves the checkpoint before or the one after. A training that is taken up again ends with the
@@ -32,11 +32,6 @@ SAME = 1e-3
 
 State = dict[str, torch.Tensor]
 
-_GARBLED = (
-    OSError, ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError,
-)  # fmt: skip
-"""What reading a damaged document may end with."""
-
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
@@ -49,6 +44,12 @@ class Snapshot:
 
     tensors: Mapping[str, State]
     facts: Mapping[str, Any]
+
+
+_GARBLED = (
+    OSError, ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError,
+)  # fmt: skip
+"""What reading a damaged document may end with."""
 
 
 class Checkpoints:
@@ -205,10 +206,10 @@ def _digest(facts: Mapping[str, Any]) -> str:
     return hashlib.sha256(json_bytes(facts)).hexdigest()
 
 
-def _close(before: object, now: float) -> bool:
-    return isinstance(before, float) and abs(before - now) <= SAME * abs(now)
-
-
 def _short(value: object) -> str:
     text = json.dumps(value)
     return text if len(text) <= 60 else f"{text[:57]}…"
+
+
+def _close(before: object, now: float) -> bool:
+    return isinstance(before, float) and abs(before - now) <= SAME * abs(now)

@@ -1,4 +1,4 @@
-"""A network trained by Levenberg–Marquardt, with scikit-learn's contract."""
+"""[regressor] A network trained by Levenberg–Marquardt, with scikit-learn's contract."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from hil.core import FloatArray
-from hil.networks.lm.network import Mlp
-from hil.networks.lm.rows import equal_inputs
-from hil.networks.lm.train import train
+from hil.networks.lm import equal_inputs, train
+from hil.networks.mlp import Mlp
 
 
 class LevenbergMarquardtRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
