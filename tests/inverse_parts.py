@@ -13,7 +13,7 @@ from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.data.prediction import Prediction
 from hil.dynamics import RobotModel
-from hil.estimators.rigid import RigidWls
+from hil.estimators.rigid_linear import RigidWls
 from hil.networks.residual.selection import Selection
 from hil.studies.inverse_methods import ROWS, Row
 

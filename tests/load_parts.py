@@ -12,7 +12,7 @@ from hil.arms.payload import Payload
 from hil.data.dataset import Dataset
 from hil.estimators.payload_estimate import PayloadEstimate
 from hil.estimators.payload_fit import estimate_payload
-from hil.estimators.rigid import RigidWls
+from hil.estimators.rigid_linear import RigidWls
 
 NOISE_A = 0.03
 GAIN_SHARE = 0.03

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from hil import api
-from hil.estimators.model_file import load_model_file
+from hil.estimators.base import load_model_file
 from hil.evaluation.fitting import load_source, usable_part
 from hil.maintenance.pipeline.adapted import with_options
 from hil.models.drift.features import Features, features_of

@@ -15,8 +15,8 @@ from synthetic_motion import nominal, raw
 from hil.arms.payload import Payload
 from hil.core.errors import FitError
 from hil.data.dataset import Dataset
-from hil.estimators.model_file import load_model_file
-from hil.estimators.rigid import RigidWls
+from hil.estimators.base import load_model_file
+from hil.estimators.rigid_linear import RigidWls
 from hil.recording.run_directory import RunDirectory
 from hil.report.text import summary_lines
 from hil.spec.load import load_spec

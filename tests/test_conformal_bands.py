@@ -10,8 +10,7 @@ from scipy.stats import norm
 
 from hil.core.errors import FitError, SpecError
 from hil.core.typing import FloatArray, IntArray
-from hil.estimators.block_quantile import conformal_quantile, weighted_quantile
-from hil.estimators.conformal import SpeedBands
+from hil.estimators.conformal import SpeedBands, conformal_quantile, weighted_quantile
 
 
 def calibration(seed: int = 0, n: int = 2) -> tuple[FloatArray, FloatArray, IntArray]:

@@ -9,10 +9,10 @@ import pytest
 
 from hil.data import Dataset
 from hil.dynamics import load_model
-from hil.estimators.gains_without_load import controller_gains
+from hil.estimators.drive_gains import controller_gains
 from hil.estimators.payload_cross_validation import payload_halves
-from hil.estimators.rigid import RigidWls
 from hil.estimators.rigid_hysteresis import RigidHysteresis
+from hil.estimators.rigid_linear import RigidWls
 from hil.importers import import_recording
 from hil.importers.load import load_source
 

@@ -10,8 +10,8 @@ from synthetic_motion import moving, nominal
 from hil.core.errors import DataError
 from hil.data.parts import JUDGE, LEARN, VALIDATE, learn_and_validate, rows_to_fit, with_part
 from hil.estimators.base import prepared
-from hil.estimators.rigid import RigidWls
 from hil.estimators.rigid_hysteresis import RigidHysteresis
+from hil.estimators.rigid_linear import RigidWls
 
 
 def test_whole_trajectories_are_held_out_to_stop_by() -> None:

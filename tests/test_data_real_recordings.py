@@ -10,7 +10,7 @@ import hil
 from hil.core.errors import DataError
 from hil.data.splits import split
 from hil.dynamics import load_model
-from hil.estimators.rigid import RigidWls
+from hil.estimators.rigid_linear import RigidWls
 from hil.evaluation import evaluate
 from hil.importers import import_recording
 from hil.importers.load import load_source

@@ -8,8 +8,8 @@ from synthetic_motion import COULOMB, GAINS, LOAD, OFFSET, dwelling, moving, nom
 
 from hil.control.hand_guiding import HandGuiding
 from hil.core.errors import DataError, FitError, SpecError
-from hil.estimators.rigid import RigidWls
 from hil.estimators.rigid_hysteresis import RigidHysteresis
+from hil.estimators.rigid_linear import RigidWls
 from hil.estimators.static import StaticWls
 
 Q = np.array([0.3, -1.2, 0.9, -0.4, 0.7, 0.2])

@@ -18,7 +18,7 @@ from hil.cli.app import app
 from hil.core.errors import FitError, RecordingError
 from hil.dynamics import RobotModel
 from hil.dynamics.inertial import is_consistent
-from hil.estimators.rigid import RigidWls
+from hil.estimators.rigid_linear import RigidWls
 from hil.export.identified_urdf import export_urdf
 from hil.export.urdf_edit import edited
 from hil.export.urdf_text import roll_pitch_yaw

@@ -17,7 +17,7 @@ from hil.core.errors import FitError, RecordingError
 from hil.dynamics import RobotModel
 from hil.dynamics.inertial import about_centre, body_parameters
 from hil.estimators import estimator
-from hil.estimators.rigid import RigidWls
+from hil.estimators.rigid_linear import RigidWls
 from hil.export import identified_parameters, identified_urdf, urdf_text
 from hil.export.identified_urdf import export_urdf
 

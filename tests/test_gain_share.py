@@ -7,8 +7,8 @@ import pytest
 from synthetic_motion import arriving, moving, nominal
 
 from hil.estimators.base import RobotEstimator, estimator
-from hil.estimators.gain_lines import calibrated, gain_lines
-from hil.estimators.rigid import RigidWls
+from hil.estimators.drive_gains import calibrated, gain_lines
+from hil.estimators.rigid_linear import RigidWls
 from hil.evaluation.load_fit import usual_gain_share
 
 pytestmark = pytest.mark.quick

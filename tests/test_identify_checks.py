@@ -7,11 +7,10 @@ import pytest
 from bad_networks import LAGRANGIAN, RESIDUAL
 from synthetic_motion import GAINS, dwelling, moving, nominal
 
-from hil.core.errors import DataError, FitError
+from hil.core.errors import FitError
 from hil.dynamics import RobotModel
 from hil.estimators import estimator
-from hil.estimators.motor import current_of
-from hil.estimators.plausible import require_plausible
+from hil.estimators.checks import require_plausible
 
 FITS = [
     ("static-wls", {}),
@@ -90,8 +89,3 @@ def test_a_joint_at_its_limit_and_efforts_in_another_unit_are_no_outliers() -> N
     data = dwelling(60)
     require_plausible(spoiled(data, 3 * nominal().effort_max[3] / GAINS[3]), nominal())
     require_plausible(data.with_columns(effort=1e3 * data["effort"]), nominal())
-
-
-def test_eq_16_is_not_solved_without_a_gain() -> None:
-    with pytest.raises(DataError, match="K₁ above 0"):
-        current_of(np.zeros(2), np.array([10.0, 0.0]), 0.0)

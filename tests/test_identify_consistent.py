@@ -11,9 +11,7 @@ from synthetic_motion import fourier, nominal, plant
 from hil.core.errors import PluginError
 from hil.dynamics import RobotModel, base_parameters
 from hil.dynamics.inertial import from_pseudo_inertia, pseudo_inertia
-from hil.estimators.consistent import consistent_least_squares
-from hil.estimators.inertial_bounds import InertialBounds
-from hil.estimators.reference_coordinates import ReferenceCoordinates
+from hil.estimators.consistent import InertialBounds, ReferenceCoordinates, consistent_least_squares
 
 EYE = np.array([1.0, 0.0, 0.0, 0.0, 2.0, 0.0, 2.0, 0.0, 0.0, 2.0])
 """Parameters whose pseudo-inertia is the unit matrix."""

@@ -14,8 +14,7 @@ from typer.testing import CliRunner
 
 from hil.cli.app import app
 from hil.core.errors import DataError, FitError, RecordingError, SpecError
-from hil.estimators.gains_file import read_gains, write_gains
-from hil.estimators.gains_without_load import controller_gains
+from hil.estimators.drive_gains import controller_gains, read_gains, write_gains
 from hil.importers import import_recording
 from hil.importers.load import load_source
 

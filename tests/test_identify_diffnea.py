@@ -24,9 +24,9 @@ from hil.data import Dataset
 from hil.dynamics import base_parameters
 from hil.dynamics.inertial import is_consistent
 from hil.estimators import estimator
-from hil.estimators.model_file import load_model_file
-from hil.estimators.rigid import RigidWls
+from hil.estimators.base import load_model_file
 from hil.estimators.rigid_diffnea import RigidDiffnea
+from hil.estimators.rigid_linear import RigidWls
 
 SEEDS = (1, 2, 3)
 

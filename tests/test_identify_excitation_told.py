@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 import statsmodels.api as sm
 
-from hil.estimators.condition_report import condition_report
-from hil.estimators.essential import essential_parameters
+from hil.estimators.identifiability import condition_report, essential_parameters
 
 
 def test_condition_numbers_are_numpys_raw_and_scaled() -> None:

@@ -10,13 +10,17 @@ from test_identify_static_inverse import K2, bent
 from hil.arms.payload import Payload
 from hil.core.errors import DataError, FitError
 from hil.data import Dataset
-from hil.estimators.gains import Gains, calibrate_gains
-from hil.estimators.motor import torque_of
+from hil.estimators.drive_gains import Gains, calibrate_gains
 
 pytestmark = pytest.mark.quick
 
 BESIDE = Payload(3.0, (0.05, 0.0, 0.05))
 ON_AXIS = Payload(3.0, (0.0, 0.0, 0.05))
+
+
+def torque_of(current, k2):
+    """Eq. 16 without offset."""
+    return k2 * current * np.abs(current) + GAINS * current
 
 
 def sweep(*loads, poses=30, noise_a=0.002, stiction_nm=2.0, share=0.0, both=True, k2=None):
@@ -42,7 +46,7 @@ def bent_currents(linear, k2):
     low, high = np.full_like(linear, -12.0), np.full_like(linear, 12.0)
     for _ in range(60):
         middle = (low + high) / 2
-        short = torque_of(middle, GAINS, k2) < linear * GAINS
+        short = torque_of(middle, k2) < linear * GAINS
         low, high = np.where(short, middle, low), np.where(short, high, middle)
     return low
 
@@ -209,6 +213,6 @@ def test_no_source_is_no_recording() -> None:
 
 def test_the_tests_currents_obey_eq_16() -> None:
     data = bent(5)
-    assert torque_of(data["effort"], GAINS, K2) / GAINS == pytest.approx(
+    assert torque_of(data["effort"], K2) / GAINS == pytest.approx(
         dwelling(5, noise_a=0.0)["effort"], abs=1e-9
     )

@@ -9,7 +9,7 @@ from synthetic_motion import LOAD, dwelling, moving, nominal
 
 from hil.core.errors import DataError, FitError, PluginError, SpecError
 from hil.estimators import estimator, load_model_file, save_model
-from hil.estimators.rigid import RigidWls
+from hil.estimators.rigid_linear import RigidWls
 from hil.estimators.static import StaticWls
 
 pytestmark = pytest.mark.quick

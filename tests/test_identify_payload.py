@@ -20,7 +20,7 @@ from hil.estimators.load_body import central, central_jacobian, nearest_body, pa
 from hil.estimators.payload_cross_validation import payload_halves
 from hil.estimators.payload_fit import estimate_payload, true_values
 from hil.estimators.payload_problem import with_identified
-from hil.estimators.rigid import RigidWls
+from hil.estimators.rigid_linear import RigidWls
 
 NOISE_A = 0.02
 SHARE = 0.07

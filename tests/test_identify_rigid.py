@@ -26,7 +26,7 @@ from hil.data import Dataset
 from hil.data.filters import FilterSettings, zero_phase
 from hil.dynamics import base_parameters
 from hil.estimators import estimator, load_model_file
-from hil.estimators.rigid import RigidWls
+from hil.estimators.rigid_linear import RigidWls
 
 pytestmark = pytest.mark.quick
 

@@ -12,8 +12,8 @@ from hil.arms.payload import Payload
 from hil.core.errors import DataError, FitError
 from hil.data.prediction import Prediction
 from hil.dynamics import load_model
-from hil.estimators.rigid import RigidWls
 from hil.estimators.rigid_hysteresis import RigidHysteresis
+from hil.estimators.rigid_linear import RigidWls
 from hil.estimators.standstill import at_rest_effort, dry_friction, gravity_torque
 from hil.estimators.static import StaticWls
 

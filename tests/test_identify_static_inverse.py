@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from synthetic_motion import GAINS, LOAD, OFFSET, dwelling, nominal, plant
 
-from hil.core.errors import DataError, FitError, SpecError
+from hil.core.errors import FitError, SpecError
 from hil.data import Dataset
 from hil.estimators import load_model_file, save_model
-from hil.estimators.motor import current_of, has_current, nearest_current, torque_of
+from hil.estimators.drive_curve import has_current, nearest_current
 from hil.estimators.static_inverse import LINEAR, NO_GRAVITY, StaticInverse
 from hil.estimators.static_linear import StaticLinear
 from hil.evaluation import evaluate
@@ -38,9 +38,9 @@ def model() -> StaticInverse:
 def test_currents_are_the_inverse_of_torques() -> None:
     current = np.linspace(-9, 9, 37)[:, None]
     k1, k2, k0 = np.array([10.0, 8.0, 6.0]), np.array([-0.3, 0.0, 0.4]), np.array([0.5, -1.0, 0.0])
-    torque = torque_of(np.broadcast_to(current, (37, 3)), k1, k2, k0)
-    assert torque[-1].tolist() == pytest.approx([-0.3 * 81 + 90 + 0.5, 71.0, 0.4 * 81 + 54])
-    np.testing.assert_allclose(current_of(torque, k1, k2, k0), np.broadcast_to(current, (37, 3)))
+    torque = k2 * current * np.abs(current) + k1 * current + k0
+    found = nearest_current(torque, k1, k2, k0)
+    np.testing.assert_allclose(found, np.broadcast_to(current, (37, 3)))
 
 
 def test_torques_beyond_the_turning_point_have_no_current() -> None:
@@ -48,8 +48,6 @@ def test_torques_beyond_the_turning_point_have_no_current() -> None:
     torque = np.array([most - 1e-9, most + 1e-6, -most - 1.0])
     assert has_current(torque, 10.0, -0.5).tolist() == [True, False, False]
     assert nearest_current(torque, 10.0, -0.5) == pytest.approx([10.0, 10.0, -10.0], rel=1e-4)
-    with pytest.raises(DataError, match="no current makes 2 of 3 torques"):
-        current_of(torque, 10.0, -0.5)
 
 
 def test_drive_constants_and_gravity_come_back_from_exact_data() -> None:

@@ -14,7 +14,7 @@ from hil.core.errors import DataError, PluginError, SpecError
 from hil.data.parts import JUDGE, LEARN, VALIDATE, with_part
 from hil.estimators import estimator, load_model_file, save_model
 from hil.estimators.base import HONEST, prepared
-from hil.estimators.model_writer import json_bytes, model_files
+from hil.estimators.model_file import json_bytes, model_files
 
 torch = pytest.importorskip("torch", reason="torch is not installed")
 

@@ -11,10 +11,10 @@ from test_identify_controller_gains import BELIEVED, logged
 from test_identify_payload import NOISE_A, under_load
 
 from hil.data import Dataset
-from hil.estimators.gains_without_load import controller_gains
+from hil.estimators.drive_gains import controller_gains
 from hil.estimators.payload_declared import FALSE_ALARM, check_declarations
 from hil.estimators.payload_fit import estimate_payload, true_values
-from hil.estimators.rigid import RigidWls
+from hil.estimators.rigid_linear import RigidWls
 
 pytestmark = [pytest.mark.proof, pytest.mark.timeout(600)]
 

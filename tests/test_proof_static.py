@@ -19,7 +19,7 @@ from hil.arms import load_arm
 from hil.arms.payload import Payload
 from hil.data.dataset import Dataset
 from hil.dynamics import base_parameters, load_model
-from hil.estimators.gains import calibrate_gains
+from hil.estimators.drive_gains import calibrate_gains
 from hil.estimators.static_linear import StaticLinear
 from hil.importers.load import load_source
 from hil_mock_robot.draw import draw_truth

@@ -22,7 +22,7 @@ import yaml
 from ur_mock import mock_ur
 
 import hil
-from hil.estimators.model_file import load_model_file
+from hil.estimators.base import load_model_file
 from hil.recording.mcap_reader import read_topic
 
 pytestmark = [pytest.mark.proof, pytest.mark.timeout(1800)]

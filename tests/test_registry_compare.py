@@ -13,7 +13,7 @@ from hil.core.errors import RegistryError
 from hil.data import Dataset
 from hil.estimators import estimator
 from hil.estimators.base import RobotEstimator
-from hil.estimators.training import Training
+from hil.estimators.model_file import Training
 from hil.models.blocks import BLOCK_S
 from hil.models.compare import Comparison, compare, fresh_part
 

@@ -10,10 +10,9 @@ from synthetic_motion import dwelling, moving, nominal
 
 from hil.data.dataset import PREPARED, Dataset
 from hil.data.prediction import Prediction
-from hil.estimators.rigid import RigidWls
 from hil.estimators.rigid_diffnea import RigidDiffnea
 from hil.estimators.rigid_irls import RigidIrls
-from hil.estimators.rigid_least_squares import RigidLeastSquares
+from hil.estimators.rigid_linear import RigidLeastSquares, RigidWls
 from hil.estimators.static import StaticWls
 from hil.report import friction_plots, friction_words
 from hil.report.friction_seen import at_rest, in_motion

@@ -14,9 +14,8 @@ from synthetic_motion import LOAD
 pytest.importorskip("torch", reason="torch is not installed")
 
 from hil.core.errors import DataError
-from hil.estimators.base import prepared
-from hil.estimators.model_file import load_model_file
-from hil.estimators.model_writer import plain, save_model
+from hil.estimators.base import load_model_file, prepared
+from hil.estimators.model_file import plain, save_model
 
 
 def test_a_stored_model_predicts_the_same(tmp_path: Path) -> None:

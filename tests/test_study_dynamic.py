@@ -21,7 +21,7 @@ from hil.data.filters import FilterSettings, prepare
 from hil.data.splits import assert_disjoint, groups
 from hil.dynamics import base_parameters, coulomb_viscous_columns
 from hil.estimators.base import GROUP
-from hil.estimators.model_writer import json_bytes
+from hil.estimators.model_file import json_bytes
 from hil.studies import dynamic_methods
 from hil.studies.base import study
 from hil.studies.dynamic_data import (

@@ -16,7 +16,7 @@ from hil.core.errors import DataError, FitError
 from hil.data.dataset import Dataset, rows_of
 from hil.data.filters import FilterSettings
 from hil.estimators.base import estimator
-from hil.estimators.model_writer import json_bytes
+from hil.estimators.model_file import json_bytes
 from hil.studies import inverse_dynamics, inverse_fits, inverse_found
 from hil.studies.base import Ended, study
 from hil.studies.inverse_cases import honest_case, recorded

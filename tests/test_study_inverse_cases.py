@@ -15,7 +15,7 @@ from hil.data.dataset import Dataset
 from hil.data.parts import JUDGE, PART
 from hil.data.prediction import Prediction
 from hil.data.splits import groups
-from hil.estimators.rigid import RigidWls
+from hil.estimators.rigid_linear import RigidWls
 from hil.studies import inverse_fits
 from hil.studies.inverse_cases import Case, honest_case, paper_case, recorded
 from hil.studies.inverse_noise import persistence_of, white_noise_left

@@ -20,7 +20,7 @@ from hil.cli.app import app
 from hil.core.errors import DataError, FitError, PluginError, SpecError
 from hil.data.splits import assert_disjoint
 from hil.estimators.payload_declared import Declaration
-from hil.estimators.rigid import RigidWls
+from hil.estimators.rigid_linear import RigidWls
 from hil.studies.base import study
 from hil.studies.inverse_cases import recorded as recorded_from
 from hil.studies.load_cases import LoadCase, load_cases, unseen

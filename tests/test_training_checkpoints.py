@@ -14,7 +14,7 @@ torch = pytest.importorskip("torch", reason="torch is not installed")
 
 from safetensors.torch import load, save  # noqa: E402
 
-from hil.estimators.model_writer import json_bytes  # noqa: E402
+from hil.estimators.model_file import json_bytes  # noqa: E402
 from hil.networks import checkpoint  # noqa: E402
 from hil.networks.checkpoint import FILE, Checkpoints  # noqa: E402
 from hil.networks.training import (  # noqa: E402

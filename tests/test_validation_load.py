@@ -16,7 +16,7 @@ from hil.arms.payload import Payload
 from hil.cli.under_load import print_under_load
 from hil.core.errors import FitError
 from hil.data.dataset import Dataset
-from hil.estimators.rigid import RigidWls
+from hil.estimators.rigid_linear import RigidWls
 from hil.evaluation import evaluate
 from hil.evaluation.validation_load import UnderLoad, under_load
 

@@ -18,7 +18,7 @@ from hil.arms import load_arm
 from hil.cli.app import app
 from hil.core.errors import SpecError
 from hil.core.yaml import look_into, parse
-from hil.estimators.gains_file import read_gains
+from hil.estimators.drive_gains import read_gains
 from hil.importers.import_map import load_map
 from hil.maintenance.fleet.members import spec_for
 from hil.spec.load import load_spec, load_station

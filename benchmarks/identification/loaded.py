@@ -15,7 +15,7 @@ from hil.core.errors import HilError
 from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.dynamics import load_model
-from hil.estimators.gains_without_load import controller_gains
+from hil.estimators.drive_gains import controller_gains
 from hil.estimators.payload_cross_validation import HalfTested, payload_halves
 
 TRUE_KG = 2.805

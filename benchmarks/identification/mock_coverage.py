@@ -21,8 +21,7 @@ from benchmarks.identification.mock_truth import sign_widths, true_coefficients
 from hil.core.executor import processes
 from hil.core.typing import FloatArray, IntArray
 from hil.dynamics import load_model
-from hil.estimators.rigid_classical import Covariance
-from hil.estimators.rigid_least_squares import RigidLeastSquares
+from hil.estimators.rigid_linear import Covariance, RigidLeastSquares
 from hil_mock_robot.draw import draw_truth
 from hil_mock_robot.simulation import Setting, Simulation
 from hil_mock_robot.truth import Profile

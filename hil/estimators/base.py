@@ -1,4 +1,12 @@
-"""What every robot-level estimator shares, and how one is found by name."""
+"""What every estimator of a robot model shares: its life, its parameters and its file.
+
+An estimator is made by name (`estimator`), fitted to a `Dataset` (`fit`) and from then on *is* the
+model: it predicts recordings (`predict`) and single samples (`stream`), and is written to a folder
+(`save`) and read from one (`load_model_file`). `RobotEstimator` says what that takes, in the style
+of scikit-learn: parameters are declared (`hil.estimators.parameters`), fitted attributes end in
+`_`. `WlsEstimator` is the base of all models whose torque is a regressor times coefficients; it
+leaves the regressor to its subclasses.
+"""
 
 from __future__ import annotations
 
@@ -26,21 +34,26 @@ from hil.data import (
     rows_to_fit,
 )
 from hil.dynamics import COMPILED_FROM, RobotModel, may_be
-from hil.estimators.checks import Needs
-from hil.estimators.model_writer import save_model
+from hil.estimators.checks import Needs, require_rank
+from hil.estimators.covariance import correlated_samples
+from hil.estimators.least_squares import JointwiseQR, Solution, jointwise_least_squares
+from hil.estimators.model_file import (
+    ARRAYS_FILE,
+    MODEL_FILE,
+    Training,
+    only_model,
+    read_arrays,
+    read_document,
+    restore_robot,
+    save_model,
+)
 from hil.estimators.parameters import Parametrised, require_known
-from hil.estimators.training import Training
+from hil.estimators.stream import MemorylessStream
 
 GROUP = "hil.estimators"
 
 HONEST = "honest"
 """Protocol of a model that predicts from the motion and the load alone."""
-
-CHUNK = 4096
-"""Samples whose regressor is built at once; bounds memory on long recordings."""
-
-LONG = 65_536
-"""Samples from which it pays to load compiled regressors, which take larger chunks."""
 
 
 class RobotEstimator(Parametrised):
@@ -186,6 +199,104 @@ class RobotEstimator(Parametrised):
             )
 
 
+def estimator(name: str, /, **params: Any) -> RobotEstimator:
+    """A fresh estimator by the name it is registered under in `hil.estimators`.
+
+    Raises:
+        PluginError: There is no estimator of that name, or it does not load.
+        SpecError: It has no such parameter, or does not accept the value.
+    """
+    kind = plugins.load(GROUP, name)
+    require_known(params, kind.parameter_names(), name)
+    try:
+        made: RobotEstimator = kind(**params)
+    except SpecError as error:
+        raise SpecError(f"{name}: {error.message}", hint=error.hint) from error
+    except (ValidationError, ValueError, TypeError) as error:
+        # A plug-in that does not check its parameters as `hil.estimators.parameters` would.
+        raise SpecError(f"{name}: {_first_line(error)}") from error
+    return made
+
+
+def _first_line(error: Exception) -> str:
+    if isinstance(error, ValidationError):
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        return f"{where}: {first['msg']}"
+    return str(error)
+
+
+def load_model_file(folder: str | Path) -> RobotEstimator:
+    """The model a folder holds, ready to predict.
+
+    Args:
+        folder: Of the model, or a run with just one.
+
+    Raises:
+        DataError: Files are missing or damaged, were written by a newer hil, or the run has
+            several models.
+        PluginError: The estimator it was made with is not installed.
+    """
+    folder = only_model(Path(folder))
+    document = read_document(folder / MODEL_FILE)
+    arrays = read_arrays(folder / ARRAYS_FILE, str(document.get("arrays_sha256", "")))
+    try:
+        model = estimator(_text(document["estimator"]), **document["parameters"])
+        model.robot_ = restore_robot(document["robot"], folder)
+        model.restore(arrays, document["fitted"])
+        require_sound(model)
+        # Models of an older hil do not say what they were trained on.
+        if document.get("training"):
+            model.training_ = Training.restored(document["training"], arrays)
+    except _GARBLED as error:
+        raise DataError(
+            f"{folder / MODEL_FILE} lacks or garbles {error}", hint="fit the model again"
+        ) from error
+    return model
+
+
+_GARBLED = (
+    KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError, MemoryError,
+    SpecError,
+)  # fmt: skip
+"""What reading a damaged document may end with; estimators are plug-ins and check little."""
+
+PREDICTING = frozenset({"coefficients", "rigid", "gear_rigid", "friction", "inertial", "exponent"})
+"""Arrays of models that predictions come from: never without a number."""
+
+
+def require_sound(model: RobotEstimator) -> None:
+    """Refuse names and units that are none before a prediction stumbles over them.
+
+    Raises:
+        TypeError, ValueError: Something fitted cannot be; the message names it.
+    """
+    names = [_text(name) for name in model.joint_names_]
+    if not np.shape(model.sigma_) == np.shape(model.torque_scale_) == (len(names),):
+        raise ValueError(f"joint_names: {len(names)} for {np.size(model.sigma_)} joints")
+    if not (np.all(np.isfinite(model.torque_scale_)) and np.all(model.torque_scale_ > 0)):
+        raise ValueError(f"torque_scale: {model.torque_scale_.tolist()!s:.60}")
+    # A deviation that is not known is NaN.
+    if np.any(np.isinf(model.sigma_) | (model.sigma_ < 0)):
+        raise ValueError(f"sigma: {model.sigma_.tolist()!s:.60}")
+    for name, values in model.fitted_arrays().items():
+        if name in PREDICTING and not np.all(np.isfinite(values)):
+            raise ValueError(f"{name}: it holds values that are not finite")
+    if model.effort_kind_ not in ("current", "torque"):
+        raise ValueError(f"effort_kind: {model.effort_kind_!r:.60}")
+
+
+def _text(value: object) -> str:
+    """A text as it is.
+
+    Raises:
+        TypeError: It is none.
+    """
+    if not isinstance(value, str):
+        raise TypeError(f"{value!r:.60} is no text")
+    return value
+
+
 def needs_of(plug_in: Any, robot: RobotModel, *, loaded: bool = False) -> Needs:
     """Return what an estimator or study states that it needs; plug-ins need not state anything.
 
@@ -207,6 +318,13 @@ def training_rows(dataset: Dataset, settings: FilterSettings) -> Dataset:
     data = downsample(prepared(dataset, settings), settings)
     wanted = rows_to_fit(data)
     return data if np.all(wanted) else rows_of(data, wanted)
+
+
+CHUNK = 4096
+"""Samples whose regressor is built at once; bounds memory on long recordings."""
+
+LONG = 65_536
+"""Samples from which it pays to load compiled regressors, which take larger chunks."""
 
 
 def chunks(dataset: Dataset) -> Iterator[slice]:
@@ -233,28 +351,141 @@ def load_of(condition: Conditions) -> Payload:
     return condition.payload_identified or condition.payload
 
 
-def estimator(name: str, /, **params: Any) -> RobotEstimator:
-    """A fresh estimator by the name it is registered under in `hil.estimators`.
+STD_ERROR_GIVEN = (
+    "exact drive gains, declared loads, kinematics and form of the model; the residual's "
+    "autocorrelation within a series is accounted for"
+)
 
-    Raises:
-        PluginError: There is no estimator of that name, or it does not load.
-        SpecError: It has no such parameter, or does not accept the value.
+STD_ERROR_LEAVES_OUT = (
+    "errors of the gains (they scale a joint's parameters as a whole), loads and kinematics; "
+    "friction of another form; bias by noise in the regressor and by filters, which smear "
+    "reversals; what all series have in common, such as temperature; correlation between joints"
+)
+
+
+class WlsEstimator(RobotEstimator):
+    """A regressor in the torque domain times coefficients.
+
+    Attributes:
+        parameter_names_: Length p.
+        coefficients_: (p,) in SI.
+        std_error_: (p,) standard errors, see `STD_ERROR_GIVEN` and `STD_ERROR_LEAVES_OUT`.
+        correlated_samples_: (n,) how many successive samples of a joint count as one in
+            `std_error_`, 1 for independent ones; see `hil.estimators.covariance`.
+        condition_: Condition number of the column-scaled, weighted regressor.
     """
-    kind = plugins.load(GROUP, name)
-    require_known(params, kind.parameter_names(), name)
-    try:
-        made: RobotEstimator = kind(**params)
-    except SpecError as error:
-        raise SpecError(f"{name}: {error.message}", hint=error.hint) from error
-    except (ValidationError, ValueError, TypeError) as error:
-        # A plug-in that does not check its parameters as `hil.estimators.parameters` would.
-        raise SpecError(f"{name}: {_first_line(error)}") from error
-    return made
 
+    parameter_names_: tuple[str, ...]
+    coefficients_: FloatArray
+    std_error_: FloatArray
+    correlated_samples_: FloatArray
+    condition_: float
 
-def _first_line(error: Exception) -> str:
-    if isinstance(error, ValidationError):
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        return f"{where}: {first['msg']}"
-    return str(error)
+    @abstractmethod
+    def _parts(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> dict[str, FloatArray]:
+        """Named parts of the effort without payload, each (N, n)."""
+
+    @abstractmethod
+    def _observations(self, data: Dataset) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
+        """Rows of the data, W (N·n, p) sample-major and the target torque (N, n), in order."""
+
+    @abstractmethod
+    def _open(self) -> None:
+        """Set up the regressor for `robot_`; also called when a model file is read."""
+
+    def stream(self, payload: Payload | None = None) -> Stream:
+        """A predictor for one sample at a time; it has no memory, so samples stand alone."""
+        return MemorylessStream(self.robot_.n, self._parts, self._load_effort, payload or Payload())
+
+    def fitted_arrays(self) -> dict[str, FloatArray]:
+        """Coefficients, their errors, gains and residual deviations."""
+        return {
+            "coefficients": self.coefficients_,
+            "std_error": self.std_error_,
+            "torque_scale": self.torque_scale_,
+            "sigma": self.sigma_,
+        }
+
+    def fitted_facts(self) -> dict[str, Any]:
+        """Parameter names, how well they were excited, and what their errors mean."""
+        return super().fitted_facts() | {
+            "parameter_names": list(self.parameter_names_),
+            "condition": self.condition_,
+            "std_error": {
+                "given": STD_ERROR_GIVEN,
+                "leaves_out": STD_ERROR_LEAVES_OUT,
+                "correlated_samples": self.correlated_samples_,
+            },
+        }
+
+    def restore(self, arrays: dict[str, FloatArray], facts: dict[str, Any]) -> None:
+        """Take over what `fitted_arrays` and `fitted_facts` wrote."""
+        self._restore_common(arrays, facts)
+        self._open()
+        self.coefficients_, self.std_error_ = arrays["coefficients"], arrays["std_error"]
+        self.parameter_names_ = tuple(facts["parameter_names"])
+        if not len(self.coefficients_) == len(self.std_error_) == len(self.parameter_names_):
+            raise ValueError(
+                f"coefficients: {len(self.coefficients_)} for {len(self.parameter_names_)} names"
+            )
+        self.condition_ = float(facts["condition"])
+        # Older model files took every sample for independent.
+        counted = facts.get("std_error", {}).get("correlated_samples", [1.0] * len(self.sigma_))
+        self.correlated_samples_ = np.array(counted, dtype=np.float64)
+
+    def _solve(self, data: Dataset, *, weighted: bool) -> None:
+        """Fit to the observations, whose target is a torque; sets the fitted attributes."""
+        self._adopt(data, jointwise_least_squares(self._compressed(data), weighted=weighted))
+
+    def _compressed(self, data: Dataset) -> JointwiseQR:
+        """All observations, one triangle per joint."""
+        observed = JointwiseQR(data.n_joints)
+        for _, W, target in self._observations(data):
+            observed.add(W, target)
+        return observed
+
+    def _adopt(self, data: Dataset, found: Solution) -> None:
+        """Take over a solution; sets the fitted attributes."""
+        require_rank(found.rank, found.condition, self.parameter_names_, found.system[0])
+        self.coefficients_, self.condition_ = found.coefficients, found.condition
+        self.sigma_ = found.sigma / self.torque_scale_
+        self._tell_uncertainty(data, found)
+
+    def _tell_uncertainty(self, data: Dataset, found: Solution) -> None:
+        """Set `correlated_samples_` and `std_error_`."""
+        residual = self._residual(data, found.coefficients)
+        self.correlated_samples_ = correlated_samples(residual, data.offsets)
+        # (XᵀWX)⁻¹ XᵀW·V·WX (XᵀWX)⁻¹ with V the variance of a joint times its correlation time.
+        X, _, joint = found.system
+        deviation = found.sigma * np.sqrt(self.correlated_samples_)
+        score = X * (found.weight * deviation)[joint, None]
+        self.std_error_ = np.linalg.norm(score @ found.bread, axis=0)
+
+    def _residual(self, data: Dataset, coefficients: FloatArray) -> FloatArray:
+        """(N, n) target less regressor times coefficients (p,)."""
+        residual = np.empty_like(data["q"])
+        for rows, W, target in self._observations(data):
+            residual[rows] = target - (W @ coefficients).reshape(target.shape)
+        return residual
+
+    def _predict(
+        self, dataset: Dataset, q: FloatArray, qd: FloatArray, qdd: FloatArray
+    ) -> Prediction:
+        parts = self._all_parts(dataset, q, qd, qdd)
+        load = payload_torque(self.robot_, dataset, q, qd, qdd) / self.torque_scale_
+        effort: FloatArray = np.sum([*parts.values(), load], axis=0)
+        std = np.broadcast_to(self.sigma_, effort.shape)
+        return Prediction(effort, std, np.isfinite(effort), {**parts, "payload": load})
+
+    def _all_parts(
+        self, dataset: Dataset, q: FloatArray, qd: FloatArray, qdd: FloatArray
+    ) -> dict[str, FloatArray]:
+        found = [self._parts(q[rows], qd[rows], qdd[rows]) for rows in chunks(dataset)]
+        names = found[0] if found else ()
+        return {name: np.concatenate([part[name] for part in found]) for name in names}
+
+    def _load_effort(
+        self, load: Payload, q: FloatArray, qd: FloatArray, qdd: FloatArray
+    ) -> FloatArray:
+        effort: FloatArray = self.robot_.payload_effort(load, q, qd, qdd) / self.torque_scale_
+        return effort

@@ -1,61 +1,148 @@
-"""A fitted model on disk: `model.json` says what it is, `model.safetensors` holds its arrays.
+"""A fitted model on disk: a folder that can be read on other machines, years later.
 
-Never pickle: a model file is read on other machines, years later, from people one does not know.
+`model.json` says what the model is: estimator and parameters, the robot, names and units of what
+was fitted, and a digest of the arrays. `model.safetensors` holds the arrays, `robot.urdf` a copy of
+the URDF if the robot has one. Never pickle: models come from people one does not know. `model.json`
+is written last, so that a folder with one is whole; models are never overwritten, and equal models
+give equal bytes.
+
+This module knows files but no estimators: it writes what a model tells of itself (`save_model`) and
+reads documents, arrays and robots back, and refuses what is damaged, newer than this hil, or of an
+arm whose description has changed. `hil.estimators.base.load_model_file` makes a model of them.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
-from hil.core import DataError, FloatArray, SpecError
-from hil.estimators.base import RobotEstimator, estimator
-from hil.estimators.model_folder import MODEL_FILE, only_model
-from hil.estimators.model_writer import ARRAYS_FILE, MODEL_FORMAT
-from hil.estimators.robot_file import restore_robot
-from hil.estimators.sound import require_sound, text
-from hil.estimators.training import Training
+import numpy as np
+
+from hil.arms import Payload, require_same_arm
+from hil.core import DataError, FitError, FloatArray, SpecError, json_text
+from hil.data import Dataset, Sketch
+from hil.dynamics import MOTOR_SIDE, RobotModel
+
+MODEL_FORMAT = 1
+MODEL_FILE, ARRAYS_FILE, URDF_FILE = "model.json", "model.safetensors", "robot.urdf"
+
+ROWS_ARRAY = "training_rows"
+"""Array that holds the fingerprints of the training data."""
+
+Array = TypeVar("Array")
 
 
-def load_model_file(folder: str | Path) -> RobotEstimator:
-    """The model a folder holds, ready to predict.
+class Savable(Protocol):
+    """What a fitted model offers for its file; every `RobotEstimator` does."""
 
-    Args:
-        folder: Of the model, or a run with just one.
+    @property
+    def estimator(self) -> str:
+        """Name of the estimator."""
+
+    @property
+    def robot_(self) -> RobotModel:
+        """Robot that the model is of."""
+
+    @property
+    def training_(self) -> Training | None:
+        """What it was trained on, if known."""
+
+    def get_params(self) -> dict[str, Any]:
+        """Return the parameters of the estimator."""
+
+    def fitted_arrays(self) -> Mapping[str, FloatArray]:
+        """Return all numbers that were fitted."""
+
+    def fitted_facts(self) -> dict[str, Any]:
+        """Return names and units of what was fitted."""
+
+
+def save_model(model: Savable, folder: Path) -> Path:
+    """Write a fitted model into `folder`, `model.json` last; returns the folder.
 
     Raises:
-        DataError: Files are missing or damaged, were written by a newer hil, or the run has
-            several models.
-        PluginError: The estimator it was made with is not installed.
+        FitError: The model is not fitted, its robot cannot be stored, or the folder holds a model
+            already.
     """
-    folder = only_model(Path(folder))
-    document = _read_document(folder / MODEL_FILE)
-    arrays = _read_arrays(folder / ARRAYS_FILE, str(document.get("arrays_sha256", "")))
+    if not hasattr(model, "sigma_"):
+        raise FitError(f"{model.estimator} is not fitted yet", hint="call fit before save")
+    if (folder / MODEL_FILE).exists():
+        raise FitError(
+            f"{folder} holds a model already, and models are never overwritten",
+            hint="save into a new folder",
+        )
+    files = model_files(model)
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, content in files.items():
+        write_whole(folder / name, content)
+    return folder
+
+
+def model_files(model: Savable) -> dict[str, bytes]:
+    """The files of a model folder by name, `model.json` last; equal models give equal bytes."""
+    from safetensors.numpy import save
+
+    fitted: dict[str, Any] = dict(model.fitted_arrays())
+    if model.training_ is not None:
+        fitted[ROWS_ARRAY] = model.training_.rows.smallest
+    arrays = save({name: np.ascontiguousarray(values) for name, values in fitted.items()})
+    robot, urdf = store_robot(model.robot_)
+    document = {
+        "hil_model": MODEL_FORMAT,
+        "estimator": model.estimator,
+        "parameters": model.get_params(),
+        "robot": robot,
+        "fitted": model.fitted_facts(),
+        "training": model.training_ and model.training_.facts(),
+        "arrays_sha256": hashlib.sha256(arrays).hexdigest(),
+    }
+    files = {ARRAYS_FILE: arrays} | ({URDF_FILE: urdf} if urdf is not None else {})
+    return files | {MODEL_FILE: json_bytes(document)}
+
+
+def json_bytes(document: Mapping[str, Any]) -> bytes:
+    """Strict, indented JSON; NaN and infinity become null, settings become their values."""
+    return json_text(plain(document), indent=2, allow_nan=False).encode() + b"\n"
+
+
+def plain(value: Any) -> Any:
+    """A value as JSON can hold it."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    if isinstance(value, (np.ndarray, np.generic)):
+        return plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return plain(value.model_dump()) if hasattr(value, "model_dump") else value
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file that is either whole or not there after a crash."""
+    draft = path.with_name(f".{path.name}.{os.getpid()}.draft")
     try:
-        model = estimator(text(document["estimator"]), **document["parameters"])
-        model.robot_ = restore_robot(document["robot"], folder)
-        model.restore(arrays, document["fitted"])
-        require_sound(model)
-        # Models of an older hil do not say what they were trained on.
-        if document.get("training"):
-            model.training_ = Training.restored(document["training"], arrays)
-    except _GARBLED as error:
-        raise DataError(
-            f"{folder / MODEL_FILE} lacks or garbles {error}", hint="fit the model again"
-        ) from error
-    return model
+        with draft.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        draft.replace(path)
+    finally:
+        draft.unlink(missing_ok=True)
 
 
-_GARBLED = (
-    KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError, MemoryError,
-    SpecError,
-)  # fmt: skip
-"""What reading a damaged document may end with; estimators are plug-ins and check little."""
+def read_document(path: Path) -> dict[str, Any]:
+    """What `model.json` says.
 
-
-def _read_document(path: Path) -> dict[str, Any]:
+    Raises:
+        DataError: It cannot be read, is damaged, or was written by a newer hil.
+    """
     try:
         document = json.loads(path.read_bytes())
     except OSError as error:
@@ -81,7 +168,12 @@ def _read_document(path: Path) -> dict[str, Any]:
     return found
 
 
-def _read_arrays(path: Path, digest: str) -> dict[str, FloatArray]:
+def read_arrays(path: Path, digest: str) -> dict[str, FloatArray]:
+    """The arrays of a model.
+
+    Raises:
+        DataError: They cannot be read, are not those that `model.json` belongs to, or no numbers.
+    """
     from safetensors import SafetensorError
     from safetensors.numpy import load
 
@@ -108,3 +200,178 @@ def _read_arrays(path: Path, digest: str) -> dict[str, FloatArray]:
                 f"{path}: {name} holds {values.dtype}, no real numbers", hint="fit the model again"
             )
     return arrays
+
+
+def models_below(folder: Path) -> list[Path]:
+    """Folders of models in a folder, and in `fit` where it is a run, by name."""
+    files = (file for under in ("*", "fit/*") for file in folder.glob(f"{under}/{MODEL_FILE}"))
+    return sorted(file.parent for file in files)
+
+
+EXAMPLE = "name a folder such as RUN/fit/rigid-hysteresis-… or models/rigid-hysteresis-…"
+
+
+def only_model(path: Path) -> Path:
+    """The folder of the model at a path, or of the only one below it.
+
+    Raises:
+        DataError: There is none, or there are several, which are listed.
+    """
+    if (path / MODEL_FILE).is_file():
+        return path
+    below = models_below(path) if path.is_dir() else []
+    if len(below) == 1:
+        return below[0]
+    if below:
+        raise DataError(
+            f"{path} holds {len(below)} models: {', '.join(map(str, below))}", hint="give one"
+        )
+    raise DataError(f"{path} {_lack(path)}", hint=_where(path))
+
+
+def _lack(path: Path) -> str:
+    if not path.exists():
+        return "is no model folder: it does not exist"
+    if not path.is_dir():
+        return "is a file, no model folder"
+    if (path / "start.json").is_file():
+        return "is a run without a model"
+    return f"is no model folder: there is no {MODEL_FILE} in it"
+
+
+def _where(path: Path) -> str:
+    if (path / "start.json").is_file():
+        return f"fit one: hil fit {path} --estimator NAME"
+    if path.is_file() and (path.parent / MODEL_FILE).is_file():
+        return f"give the folder it lies in: {path.parent}"
+    return EXAMPLE
+
+
+def store_robot(robot: RobotModel) -> tuple[dict[str, Any], bytes | None]:
+    """What `model.json` says about the robot, and the URDF to be stored beside it.
+
+    Raises:
+        FitError: The URDF is gone, or the robot is not what its description leads to (the file
+            was changed since, say), so the stored model would predict something else.
+    """
+    document = robot.to_dict()
+    content = None
+    if document["kind"] == "urdf":
+        try:
+            content = Path(robot.name).read_bytes()
+        except OSError as error:
+            raise FitError(f"cannot store the robot's URDF: {error}") from error
+    _require_same(robot, document)
+    if robot.arm is not None and robot.arm.sha256:
+        document["model_sha256"] = robot.arm.sha256
+    return document, content
+
+
+def _require_same(robot: RobotModel, document: dict[str, Any]) -> None:
+    q = np.random.default_rng(0).uniform(-1.0, 1.0, (5, robot.n))
+    again = RobotModel.from_dict(document)
+    pairs = [
+        (robot.gravity_regressor(q), again.gravity_regressor(q)),
+        (robot.parameters(), again.parameters()),
+    ]
+    if any(ours.shape != theirs.shape or not np.allclose(ours, theirs) for ours, theirs in pairs):
+        raise FitError(
+            f"the robot model differs from what {robot.name} leads to when it is loaded again, so "
+            "the fitted model cannot be stored",
+            hint="load the robot from its file again and fit again",
+        )
+
+
+def restore_robot(document: dict[str, Any], folder: Path) -> RobotModel:
+    """The robot model a folder was stored with: mounting, rotor inertias and loads included.
+
+    Raises:
+        DataError: Its built-in arm or URDF cannot be used here, or the file that describes its arm
+            was changed since.
+        KeyError, TypeError, ValueError: The document is damaged.
+    """
+    if document["kind"] == "urdf":
+        document = document | {"name": str(folder / URDF_FILE)}
+    else:
+        own = {**document, "model": str(document["name"]).removesuffix(MOTOR_SIDE)}
+        require_same_arm(own, folder, "fit the model again")
+    try:
+        return RobotModel.from_dict(document)
+    except SpecError as error:
+        raise DataError(f"{folder}: {error.message}", hint=error.hint) from error
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Training:
+    """Enough to recognise the training data and to scale errors as they were scaled then.
+
+    Attributes:
+        sources: Names of the files or run directories, without their folders.
+        samples: Rows.
+        effort_std: (n,) standard deviation of the effort, the scale for NRMSE.
+        rows: Fingerprints of the samples.
+        serial: Serial number of the robot; empty when nobody said.
+        payloads: The loads declared; None in older model files.
+    """
+
+    sources: tuple[str, ...]
+    samples: int
+    effort_std: FloatArray
+    rows: Sketch
+    serial: str = ""
+    payloads: tuple[Payload, ...] | None = None
+
+    @staticmethod
+    def of(dataset: Dataset) -> Training:
+        """What there is to remember of a dataset."""
+        paths = dict.fromkeys(condition.source for condition in dataset.conditions)
+        names = tuple(Path(path).name for path in paths if path)
+        std = np.asarray(np.std(dataset["effort"], axis=0))
+        loads = tuple(dict.fromkeys(condition.payload for condition in dataset.conditions))
+        rows = Sketch.of(dataset)
+        return Training(names, len(dataset), std, rows, payloads=loads)
+
+    def facts(self) -> dict[str, Any]:
+        """For `model.json`; the fingerprints go into its arrays."""
+        return {
+            "sources": list(self.sources),
+            "samples": self.samples,
+            "serial": self.serial,
+            "payloads": self.payloads
+            and [[load.mass, *load.com, *load.inertia] for load in self.payloads],
+            "effort_std": self.effort_std,
+            "every_row_kept": self.rows.complete,
+        }
+
+    @staticmethod
+    def restored(facts: Mapping[str, Any], arrays: Mapping[str, Any]) -> Training:
+        """Inverse of `facts`.
+
+        Raises:
+            KeyError, TypeError, ValueError: Something is missing or garbled.
+        """
+        loads = facts.get("payloads")
+        return Training(
+            tuple(facts["sources"]),
+            int(facts["samples"]),
+            np.array(facts["effort_std"], dtype=np.float64),
+            Sketch(np.asarray(arrays[ROWS_ARRAY]), bool(facts["every_row_kept"])),
+            str(facts["serial"]),
+            None if loads is None else tuple(_load(numbers) for numbers in loads),
+        )
+
+
+def _load(numbers: Sequence[float]) -> Payload:
+    mass, x, y, z, *inertia = (float(number) for number in numbers)
+    xx, yy, zz, xy, xz, yz = inertia
+    return Payload(mass, (x, y, z), (xx, yy, zz, xy, xz, yz))
+
+
+def with_prefix(prefix: str, arrays: Mapping[str, Array]) -> dict[str, Array]:
+    """The arrays under longer names."""
+    return {prefix + name: values for name, values in arrays.items()}
+
+
+def without_prefix(prefix: str, arrays: Mapping[str, Array]) -> dict[str, Array]:
+    """Those arrays whose names begin with the prefix, by the rest of their names."""
+    return {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}

@@ -1,12 +1,31 @@
-"""Constructor parameters the scikit-learn way, without importing scikit-learn."""
+"""Parameters of estimators and studies: declared in a table, checked in one place.
+
+A class lists its parameters as it lists fields of a dataclass, with the check, the limits and the
+meaning of each:
+
+    class RigidWls(RigidLinear):
+        sign_width: float = parameter(0.01, number, at_least=0.0, doc="Width of the tanh [rad/s].")
+        weighted: bool = parameter(True, flag, doc="Weight the joints by their residual.")
+
+`Parametrised` makes the constructor of them (keywords only, everything checked), with a signature
+and an `Args` section for `help`, and scikit-learn's `get_params` and `set_params`, without
+importing scikit-learn. A subclass inherits the parameters behind its own; one that assigns a plain
+value instead (`form = "shared"`) has no such parameter. What parameters must be together, it checks
+in `_check_together`. Classes with a constructor of their own work as well: its keywords are the
+parameters, each stored in an attribute of the same name.
+
+The checks (`number`, `whole`, `share`, `flag`, `choice`, `mapping`, `settings`) take the
+parameter's name and value, return the value to be stored and raise `SpecError` with that name.
+"""
 
 from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from numbers import Real
-from typing import Annotated, Any, Self, TypeVar
+from typing import Annotated, Any, ClassVar, Self, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ValidationError
 
@@ -16,19 +35,89 @@ MOST_SEED = 2**32 - 1
 """The largest that every generator of random numbers takes."""
 
 
-class Parametrised:
-    """Keyword-only constructor parameters that can be read, set and stored.
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A declared parameter.
 
-    A subclass checks every parameter in its constructor (`number`, `flag`, `choice`, `settings`),
-    assigns it to an attribute of the same name, and does nothing else there. `set_params` goes
-    through the constructor, so that nothing gets in unchecked.
+    Attributes:
+        default: As the signature shows it; it is checked like any other value.
+        check: From the parameter's name and a value to the value that is stored.
+        doc: What it means, with its unit.
     """
+
+    default: Any
+    check: Callable[[str, Any], Any]
+    doc: str
+
+
+def parameter(
+    default: Any,
+    check: Callable[..., Any],
+    *args: Any,
+    doc: str,
+    optional: bool = False,
+    **limits: Any,
+) -> Any:
+    """Declare a parameter of a `Parametrised` class.
+
+    Args:
+        default: Its value when it is not given.
+        check: One of the checks of this module.
+        *args: Of the check, behind name and value.
+        doc: What it means, with its unit.
+        optional: Whether None is allowed besides, and stored as it is.
+        **limits: Keywords of the check.
+    """
+
+    def checked(name: str, value: Any) -> Any:
+        return None if optional and value is None else check(name, value, *args, **limits)
+
+    return Parameter(default, checked, doc)
+
+
+class Parametrised:
+    """Keyword-only constructor parameters that can be read, set and stored."""
+
+    _declared: ClassVar[dict[str, Parameter]] = {}
+    __signature__: ClassVar[inspect.Signature]
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        # Own names come first, and hide what bases declare under the same name.
+        own: dict[str, Any] = {}
+        for base in cls.__mro__:
+            own = own | {name: value for name, value in vars(base).items() if name not in own}
+        cls._declared = {n: each for n, each in own.items() if isinstance(each, Parameter)}
+        cls.__signature__ = cls._signature()
+        if cls._declared and "Args:" not in (cls.__doc__ or "") and "__doc__" in vars(cls):
+            lines = "".join(f"    {name}: {each.doc}\n" for name, each in cls._declared.items())
+            cls.__doc__ = f"{inspect.cleandoc(cls.__doc__ or '')}\n\nArgs:\n{lines}"
+
+    def __init__(self, **params: Any) -> None:
+        require_known(params, tuple(self._declared), type(self).__name__)
+        for name, each in self._declared.items():
+            setattr(self, name, each.check(name, params.get(name, each.default)))
+        self._check_together()
+
+    def _check_together(self) -> None:
+        """Raise SpecError if parameters that are valid one by one exclude each other."""
+
+    @classmethod
+    def _signature(cls) -> inspect.Signature:
+        """The declared parameters, or those of a constructor that the class or a base has."""
+        if cls.__init__ is not Parametrised.__init__:
+            own = inspect.signature(cls.__init__)
+            return own.replace(parameters=list(own.parameters.values())[1:])
+        keyword = inspect.Parameter.KEYWORD_ONLY
+        declared = cls._declared.items()
+        return inspect.Signature(
+            [inspect.Parameter(name, keyword, default=each.default) for name, each in declared]
+        )
 
     @classmethod
     def parameter_names(cls) -> tuple[str, ...]:
         """Names of the constructor's parameters."""
-        signature = inspect.signature(cls)
-        return tuple(signature.parameters)
+        return tuple(inspect.signature(cls).parameters)
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:
         """The parameters as given; `deep` is there for scikit-learn's sake."""

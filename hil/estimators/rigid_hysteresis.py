@@ -24,6 +24,7 @@ from hil.estimators.checks import (
     Needs,
     require_clean,
     require_motion,
+    require_plausible,
     require_robot,
     require_sizes,
     torque_scale,
@@ -36,7 +37,6 @@ from hil.estimators.friction.motion import Shapes
 from hil.estimators.friction.predicted import predicted_friction
 from hil.estimators.hysteresis_settings import filters_for, group_names, motor_turns
 from hil.estimators.parameters import flag, number, settings
-from hil.estimators.plausible import require_plausible
 
 MOTION = ("q_f", "qd_f", "qdd_f")
 

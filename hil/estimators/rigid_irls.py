@@ -13,14 +13,13 @@ from typing import Any, ClassVar
 import numpy as np
 
 from hil.core import BoolArray, FloatArray
-from hil.data import Dataset, FilterSettings, filter_columns
+from hil.data import Dataset, filter_columns
 from hil.estimators.checks import require_sizes
+from hil.estimators.consistent import MASS_FACTOR, InertialBounds
 from hil.estimators.friction_exponent import best_exponent, power_of_speed
-from hil.estimators.inertial_bounds import MASS_FACTOR, InertialBounds
 from hil.estimators.least_squares import JointwiseQR, Solution, jointwise_least_squares
-from hil.estimators.parameters import choice, flag, number
-from hil.estimators.rigid_classical import Covariance, RigidClassical
-from hil.estimators.rigid_linear import TERMS
+from hil.estimators.parameters import choice, flag, number, parameter
+from hil.estimators.rigid_linear import TERMS, RigidClassical
 from hil.estimators.rigid_lmi import PRIOR, feasible
 from hil.estimators.robust import (
     LOSSES,
@@ -43,17 +42,6 @@ NARROWEST = 1e-3
 class RigidIrls(RigidClassical):
     """Rigid-body parameters and friction by iteratively reweighted least squares.
 
-    Args:
-        loss: `huber` or `tukey`.
-        exponent: Fit the exponent of viscous friction per joint; False keeps it at 1.
-        feasible: Keep links and rotors physically consistent and friction dissipative.
-        mass_factor: Most mass of a link as a multiple of its nominal one, above 1.
-        prior: Pull towards the nominal bodies, as in `rigid-lmi`.
-        sign_width: Width of the tanh that stands for sign(qd) [rad/s]; 0 for the hard sign.
-        filter_columns: Run the friction columns through the filter of the effort.
-        covariance: What standard errors allow for, `hac` or `clustered`.
-        filters: Preprocessing of training and prediction alike, a `FilterSettings` or its dict.
-
     Attributes:
         exponent_: (n,) of viscous friction; its uncertainty is not in `std_error_`.
         inertial_: (11n,) full parameters; None unless `feasible`.
@@ -68,30 +56,24 @@ class RigidIrls(RigidClassical):
     inertial_: FloatArray | None = None
     iterations_: int
 
-    def __init__(
-        self,
-        *,
-        loss: Loss = "huber",
-        exponent: bool = True,
-        feasible: bool = True,
-        mass_factor: float = MASS_FACTOR,
-        prior: float = PRIOR,
-        sign_width: float = 0.01,
-        filter_columns: bool = True,
-        covariance: Covariance = "hac",
-        filters: FilterSettings | dict[str, Any] | None = None,
-    ) -> None:
-        super().__init__(
-            sign_width=sign_width,
-            filter_columns=filter_columns,
-            covariance=covariance,
-            filters=filters,
-        )
-        self.loss = choice("loss", loss, LOSSES)
-        self.exponent = flag("exponent", exponent)
-        self.feasible = flag("feasible", feasible)
-        self.mass_factor = number("mass_factor", mass_factor, above=1.0)
-        self.prior = number("prior", prior, at_least=0.0)
+    loss: Loss = parameter("huber", choice, LOSSES, doc="`huber` or `tukey`.")
+    exponent: bool = parameter(
+        True,
+        flag,
+        doc="Fit the exponent of viscous friction per joint; False keeps it at 1.",
+    )
+    feasible: bool = parameter(
+        True, flag, doc="Keep links and rotors physically consistent and friction dissipative."
+    )
+    mass_factor: float = parameter(
+        MASS_FACTOR,
+        number,
+        above=1.0,
+        doc="Most mass of a link as a multiple of its nominal one, above 1.",
+    )
+    prior: float = parameter(
+        PRIOR, number, at_least=0.0, doc="Pull towards the nominal bodies, as in `rigid-lmi`."
+    )
 
     @property
     def certain(self) -> bool:  # type: ignore[override]

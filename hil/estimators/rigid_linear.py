@@ -1,41 +1,98 @@
-"""Rigid-body models that are linear in base parameters and friction, whatever solves them.
+"""Rigid-body models that are linear in base parameters and friction.
 
 The base regressor of the arm (rotor inertias included) is set beside three friction columns per
-joint, tanh(qd/width), qd and 1, and fitted to K·i. What is subtracted (declared loads), how signals
-are filtered and how a fitted model predicts is the same for every method; a method overrides the
-one step that turns observations into coefficients.
+joint, tanh(qd/width), qd and 1, and fitted to K·i. `RigidLinear` holds what is the same for every
+method: what is subtracted (declared loads), how signals are filtered, how a fitted model predicts.
+A method overrides the one step that turns observations into coefficients, `_estimate`.
+
+- `RigidWls` (`rigid-wls`): ordinary least squares first, then again with every joint weighted by
+  the reciprocal variance of its own residual (Jubien, Gautier & Janot 2014, "Method 1" of the PINN
+  paper). On the UR10e recordings of Mamedov & Mikhel, with the filters of `hil.data.filters`, the
+  literature drive gains and a width of 0.01 rad/s, training on 30s12h + 40s12h + 50s12h + 20s8h
+  gives on the whole of 14h50 .234 .327 .172 .045 .052 .040 A raw (mean .1450) and .1145 A against
+  the filtered current; on 30s12h alone tanh gives .1485 and the hard sign .1642.
+- `RigidClassical` adds what a comparison of methods needs: standard errors that know about
+  correlated samples, friction columns filtered like the effort, and a report on the excitation. It
+  is the base of `rigid-lmi` and `rigid-irls` too.
+- `RigidLeastSquares` (`rigid-linear`): OLS, WLS, ridge and total least squares on equal terms.
 """
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterator
-from typing import Any, ClassVar, Self
+from dataclasses import replace
+from functools import partial
+from itertools import pairwise
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
-from hil.core import FloatArray
-from hil.data import Dataset, FilterSettings, Prediction, SeriesKind
-from hil.dynamics import RobotModel, base_parameters, friction_terms, joint_columns
-from hil.estimators.base import chunks, payload_torque, prepared, training_rows
-from hil.estimators.checks import Needs, require_clean, require_motion, require_robot, torque_scale
+from hil.core import BoolArray, FitError, FloatArray, IntArray, SpecError
+from hil.data import (
+    Conditions,
+    Dataset,
+    FilterSettings,
+    Group,
+    Prediction,
+    SeriesKind,
+    downsample,
+    filter_columns,
+    group_of,
+)
+from hil.dynamics import BaseParameters, RobotModel, base_parameters, friction_terms, joint_columns
+from hil.estimators.base import WlsEstimator, chunks, payload_torque, prepared, training_rows
+from hil.estimators.checks import (
+    Needs,
+    require_clean,
+    require_motion,
+    require_plausible,
+    require_robot,
+    torque_scale,
+)
+from hil.estimators.covariance import (
+    Scores,
+    correlated_samples,
+    hac_covariance,
+    hac_window,
+    interval,
+    trajectory_covariance,
+)
 from hil.estimators.friction_curve import FrictionCurve, curve_of
-from hil.estimators.least_squares import JointwiseQR, Solution
-from hil.estimators.parameters import number, settings
-from hil.estimators.plausible import require_plausible
-from hil.estimators.wls import WlsEstimator
+from hil.estimators.identifiability import condition_report, essential_parameters
+from hil.estimators.least_squares import (
+    JointwiseQR,
+    Solution,
+    jointwise_least_squares,
+    left_out_ridge,
+    ridge,
+    rough,
+    total_least_squares,
+)
+from hil.estimators.parameters import choice, flag, number, parameter, settings
 
 MOTION = ("q_f", "qd_f", "qdd_f")
+
 TERMS = ("coulomb", "viscous", "offset")
 """Friction columns per joint."""
 
 
+SIGN_WIDTH = parameter(
+    0.01,
+    number,
+    at_least=0.0,
+    doc="Width of the tanh that stands for sign(qd) [rad/s]; 0 for the hard sign.",
+)
+FILTERS = parameter(
+    None,
+    settings,
+    FilterSettings,
+    doc="Preprocessing of training and prediction alike, a `FilterSettings` or its dict.",
+)
+
+
 class RigidLinear(WlsEstimator):
     """Base of the estimators of base rigid-body parameters and Coulomb–viscous friction.
-
-    Args:
-        sign_width: Width of the tanh that stands for sign(qd) [rad/s]; 0 for the hard sign.
-        filters: Preprocessing of training and prediction alike, a `FilterSettings` or its dict.
 
     Attributes:
         parameter_names_: Base parameters, then `coulomb`, `viscous`, `offset` per joint.
@@ -43,14 +100,8 @@ class RigidLinear(WlsEstimator):
 
     series_kinds: ClassVar[tuple[tuple[SeriesKind, ...], ...]] = (("trajectory",), ("move",))
 
-    def __init__(
-        self,
-        *,
-        sign_width: float = 0.01,
-        filters: FilterSettings | dict[str, Any] | None = None,
-    ) -> None:
-        self.sign_width = number("sign_width", sign_width, at_least=0.0)
-        self.filters = settings("filters", filters, FilterSettings)
+    sign_width: float = SIGN_WIDTH
+    filters: FilterSettings = FILTERS
 
     @abstractmethod
     def _estimate(self, observed: JointwiseQR) -> Solution:
@@ -147,3 +198,321 @@ class RigidLinear(WlsEstimator):
             "friction": (joint_columns(self._friction(qd)) @ friction).reshape(q.shape),
         }
         return {name: part / self.torque_scale_ for name, part in parts.items()}
+
+
+class RigidWls(RigidLinear):
+    """Base rigid-body parameters and Coulomb–viscous friction, joints weighted."""
+
+    estimator: ClassVar[str] = "rigid-wls"
+
+    sign_width: float = SIGN_WIDTH
+    weighted: bool = parameter(
+        True,
+        flag,
+        doc="Weight the joints by their residual; False stops after ordinary least squares.",
+    )
+    filters: FilterSettings = FILTERS
+
+    def _estimate(self, observed: JointwiseQR) -> Solution:
+        return jointwise_least_squares(observed, weighted=self.weighted)
+
+
+Covariance = Literal["hac", "clustered"]
+COVARIANCES = ("hac", "clustered")
+
+FILTERED = "filtered "
+"""Columns of a dataset: friction terms, filtered before rows are left out."""
+
+MEANING = {
+    "hac": "Newey and West's covariance, over lags up to ten correlation times of the residual and "
+    "between joints",
+    "clustered": "clustered by trajectory, corrected for few of them (CR2, Satterthwaite's t)",
+}
+
+
+class RigidClassical(RigidLinear):
+    """Base of `rigid-linear`, `rigid-lmi` and `rigid-irls`.
+
+    Attributes:
+        covariance_: (p, p) of the coefficients; NaN where a method gives none.
+        degrees_: (p,) degrees of freedom of Student's t for intervals.
+        excitation_: Condition numbers, the worst determined directions and, where the method is
+            least squares, how many parameters are essential.
+    """
+
+    sign_width: float = SIGN_WIDTH
+    filter_columns: bool = parameter(
+        True, flag, doc="Run the friction columns through the filter of the effort."
+    )
+    covariance: Covariance = parameter(
+        "hac", choice, COVARIANCES, doc="What standard errors allow for, `hac` or `clustered`."
+    )
+    filters: FilterSettings = FILTERS
+
+    certain: ClassVar[bool] = True
+    """Whether the covariance of least squares is that of the method."""
+
+    bends: ClassVar[bool] = False
+    """Whether the fit changes the form of its friction columns, so that they cannot be kept."""
+
+    covariance_: FloatArray
+    degrees_: FloatArray
+    excitation_: dict[str, Any]
+
+    @property
+    def base(self) -> BaseParameters:
+        """The base parameters, in the order of the first coefficients."""
+        return self._base
+
+    def interval(self, level: float = 0.95) -> FloatArray:
+        """(p, 2) ends between which a coefficient lies with probability `level`."""
+        return interval(self.coefficients_, self.std_error_, self.degrees_, level)
+
+    def friction_curve(self, qd: FloatArray) -> FrictionCurve | None:
+        """Friction at velocities (N, n) [rad/s]; its standard error NaN unless `certain`."""
+        curve = super().friction_curve(qd)
+        if curve is None or self.certain:
+            return curve
+        # Bounds, penalties and exponents move coefficients by more than least squares tells.
+        return replace(curve, std_error=np.full_like(curve.torque, np.nan))
+
+    def fitted_arrays(self) -> dict[str, FloatArray]:
+        """Those of every linear model, with the whole covariance."""
+        return super().fitted_arrays() | {
+            "covariance": self.covariance_,
+            "degrees": self.degrees_,
+        }
+
+    def fitted_facts(self) -> dict[str, Any]:
+        """Those of every linear model; how the errors were found."""
+        facts = super().fitted_facts()
+        facts["std_error"]["method"] = MEANING[self.covariance]
+        return facts | {"excitation": self.excitation_}
+
+    def restore(self, arrays: dict[str, FloatArray], facts: dict[str, Any]) -> None:
+        """Take over what `fitted_arrays` and `fitted_facts` wrote."""
+        super().restore(arrays, facts)
+        self.covariance_, self.degrees_ = arrays["covariance"], arrays["degrees"]
+        self.excitation_ = dict(facts.get("excitation", {}))
+
+    def _training_rows(self, dataset: Dataset) -> Dataset:
+        if self.covariance == "clustered" and len(dataset.conditions) < 2:
+            raise FitError(
+                "standard errors clustered by trajectory need at least two trajectories",
+                hint="record more of them, or choose covariance: hac",
+            )
+        data = prepared(dataset, self.filters)
+        if self.filters.thins and self.filter_columns and not self.bends:
+            # Left for later, steps would have folded, and the ends be filtered unlike the effort.
+            terms = self._friction_terms(data)
+            data = data.with_columns(**{FILTERED + name: term for name, term in terms.items()})
+        return downsample(data, self.filters)
+
+    def _friction_terms(self, data: Dataset) -> dict[str, FloatArray]:
+        terms = super()._friction_terms(data)
+        if not self.filter_columns:
+            return terms
+        if FILTERED + next(iter(terms)) in data.columns:
+            return {name: data[FILTERED + name] for name in terms}
+        return {name: filter_columns(term, data, self.filters) for name, term in terms.items()}
+
+    def _tell_uncertainty(self, data: Dataset, found: Solution) -> None:
+        p = len(found.coefficients)
+        scores, residual = self._scores(data, found)
+        self.correlated_samples_ = correlated_samples(residual, data.offsets)
+        if self.covariance == "clustered":
+            told = trajectory_covariance(found.bread, scores)
+        else:
+            window = hac_window(self.correlated_samples_, len(data))
+            told = hac_covariance(found.bread, scores, window)
+        self.covariance_ = told.covariance if self.certain else np.full((p, p), np.nan)
+        self.degrees_ = told.degrees
+        self.excitation_ = self._told_excitation(found, len(data))
+        self.std_error_ = np.sqrt(np.diag(told.covariance))
+
+    def _told_excitation(self, found: Solution, samples: int) -> dict[str, Any]:
+        X, y = found.weighted_system()
+        report = condition_report(X, self.parameter_names_).facts()
+        if not self.certain:
+            return report
+        # Samples that repeat each other count once, for the test to be as strict as it says.
+        times = self.correlated_samples_
+        root = np.sqrt(times)[found.system[2]]
+        independent = float(np.sum(samples / times))
+        names = self.parameter_names_
+        essential = essential_parameters(X / root[:, None], y / root, names, independent)
+        return report | {"essential": essential.facts()}
+
+    def _scores(self, data: Dataset, found: Solution) -> tuple[Scores, FloatArray]:
+        """Scores of the weighted least squares, and the residual (N, n).
+
+        Only clustered errors ask for XᵀWX of every series; otherwise it stays 0.
+        """
+        p = len(found.coefficients)
+        score, gram = np.empty((len(data), p)), np.zeros((len(data.conditions), p, p))
+        residual = np.empty_like(data["q"])
+        series = data.series_index()
+        for rows, W, target in self._observations(data):
+            rest = target - (W @ found.coefficients).reshape(target.shape)
+            residual[rows] = rest
+            drive, curvature = self._sample_weights(rest, found)
+            cube = W.reshape(*rest.shape, p)
+            score[rows] = np.einsum("tjp,tj->tp", cube, drive * rest)
+            if self.covariance == "clustered":  # costs as much as the fit itself
+                weighted = cube * curvature[:, :, None]
+                for number, own in _series_in(series[rows]):
+                    gram[number] += np.tensordot(cube[own], weighted[own], ((0, 1), (0, 1)))
+        return Scores(score, gram, data.offsets, data.n_joints), residual
+
+    def _sample_weights(self, rest: FloatArray, found: Solution) -> tuple[FloatArray, FloatArray]:
+        """ψ(r)/r and ψ′(r) of residuals (N, n), each (N, n): equal where squares are minimised."""
+        weight = np.broadcast_to(found.weight, rest.shape)
+        return weight, weight
+
+
+def _series_in(series: IntArray) -> list[tuple[int, slice]]:
+    """Numbers of the series and their rows, of successive rows with these numbers (N,)."""
+    ends = [0, *(np.flatnonzero(np.diff(series)) + 1).tolist(), len(series)]
+    return [(int(series[i]), slice(i, j)) for i, j in pairwise(ends) if j > i]
+
+
+Method = Literal["ols", "wls", "ridge", "tls"]
+METHODS = ("ols", "wls", "ridge", "tls")
+
+KNOWN_EXACTLY = 1e-9
+"""Noise below this share of a column's mean square root counts as none."""
+
+
+class RigidLeastSquares(RigidClassical):
+    """Base rigid-body parameters and Coulomb–viscous friction by a linear method.
+
+    All methods see the same filters, the same smooth sign and, but for `ols`, joints weighted by
+    the reciprocal variance of their residual.
+
+    Attributes:
+        covariance_, std_error_: NaN for `ridge` and `tls`.
+        alpha_: Penalty of `ridge`; 0 for the others.
+        gap_: How far `tls` is from ill-posed, see `total_least_squares`; else inf.
+    """
+
+    estimator: ClassVar[str] = "rigid-linear"
+    alpha_: float
+    gap_: float
+
+    method: Method = parameter("wls", choice, METHODS, doc="`ols`, `wls`, `ridge` or `tls`.")
+    alpha: float | None = parameter(
+        None,
+        number,
+        at_least=0.0,
+        optional=True,
+        doc="Penalty of `ridge` as a share of each column's sum of squares; by default the one "
+        "that predicts best a trajectory left out of the training.",
+    )
+
+    def _check_together(self) -> None:
+        if self.alpha is not None and self.method != "ridge":
+            raise SpecError(
+                f"alpha belongs to method ridge, not to {self.method}",
+                hint="leave alpha out, or set method: ridge",
+            )
+
+    @property
+    def certain(self) -> bool:  # type: ignore[override]
+        """A penalty pulls, and noise in columns biases, by more than any scatter tells."""
+        return self.method in ("ols", "wls")
+
+    def fitted_facts(self) -> dict[str, Any]:
+        """Those of every classical method, with what the method found."""
+        found = {"ridge": {"alpha": self.alpha_}, "tls": {"gap": self.gap_}}
+        return super().fitted_facts() | found.get(self.method, {})
+
+    def restore(self, arrays: dict[str, FloatArray], facts: dict[str, Any]) -> None:
+        """Take over what `fitted_arrays` and `fitted_facts` wrote."""
+        super().restore(arrays, facts)
+        self.alpha_ = float(facts.get("alpha", 0.0))
+        self.gap_ = float(facts.get("gap") or np.inf)
+
+    def _tell_uncertainty(self, data: Dataset, found: Solution) -> None:
+        super()._tell_uncertainty(data, found)
+        if not self.certain:
+            self.std_error_ = np.full_like(self.std_error_, np.nan)
+
+    def _learn(self, data: Dataset) -> None:
+        self.alpha_, self.gap_ = 0.0, float("inf")
+        # What only these methods need of the single rows; compressed observations lack it.
+        chooses = self.method == "ridge" and self.alpha is None
+        self._parts_of = self._by_trajectory(data) if chooses else []
+        self._noise = self._noise_of(data) if self.method == "tls" else None
+        super()._learn(data)
+        del self._parts_of, self._noise
+
+    def _estimate(self, observed: JointwiseQR) -> Solution:
+        found = jointwise_least_squares(observed, weighted=self.method != "ols")
+        if self.method not in ("ridge", "tls"):
+            return found
+        X, y = found.weighted_system()
+        if self.method == "tls":
+            coefficients = self._total(found, X, y)
+        elif self.alpha is not None:
+            self.alpha_ = self.alpha
+            coefficients = ridge(X, y, self.alpha, self._penalised(X.shape[1]))
+        else:
+            coefficients = self._left_out(found)
+        sigma = observed.residual_std(coefficients)
+        return replace(found, coefficients=coefficients, sigma=sigma)
+
+    def _left_out(self, found: Solution) -> FloatArray:
+        parts = []
+        for part in self._parts_of:
+            X, y, joint = part.system()
+            root = np.sqrt(found.weight)[joint]
+            parts.append((X * root[:, None], y * root))
+        best = left_out_ridge(parts, self._penalised(parts[0][0].shape[1]))
+        self.alpha_ = best.alpha
+        return best.coefficients
+
+    def _total(self, found: Solution, X: FloatArray, y: FloatArray) -> FloatArray:
+        assert self._noise is not None
+        # (n, p + 1) noise per joint, as it is in weighted rows, pooled over the joints.
+        noise = np.sqrt(np.mean(found.weight[:, None] * self._noise**2, axis=0))
+        columns, target = noise[:-1], float(noise[-1])
+        # Rows of the compressed system are worth many samples each; only ratios matter.
+        exact = columns <= KNOWN_EXACTLY * np.linalg.norm(X, axis=0)
+        best = total_least_squares(X, y, columns, target, exact)
+        self.gap_ = best.gap
+        self.notes_ = (best.note,) if best.note else ()
+        return best.coefficients
+
+    def _penalised(self, p: int) -> BoolArray:
+        """(p,) all but the offsets."""
+        keep = np.ones(p, dtype=bool)
+        offsets = p - len(TERMS) * len(self.joint_names_) + TERMS.index("offset")
+        keep[offsets :: len(TERMS)] = False
+        return keep
+
+    def _noise_of(self, data: Dataset) -> FloatArray:
+        """(n, p + 1) standard deviation of the noise on each joint's columns and target."""
+        n = data.n_joints
+        squares, count = np.zeros((n, len(self.parameter_names_) + 1)), 0
+        series = data.series_index()
+        for rows, W, target in self._observations(data):
+            cube = np.concatenate([W.reshape(*target.shape, -1), target[:, :, None]], axis=2)
+            for number_ in np.unique(series[rows]):
+                own = cube[series[rows] == number_]
+                squares += len(own) * np.stack([rough(own[:, j]) ** 2 for j in range(n)])
+                count += len(own)
+        return np.sqrt(squares / max(count, 1))
+
+    def _by_trajectory(self, data: Dataset) -> list[JointwiseQR]:
+        """The observations of every trajectory by itself."""
+        groups = dict.fromkeys(group_of(condition, "trajectory") for condition in data.conditions)
+        if len(groups) < 2:
+            raise FitError(
+                "ridge chooses alpha by leaving trajectories out, and there is only one",
+                hint="give alpha, or more trajectories",
+            )
+        return [self._compressed(data.select(partial(_belongs, group))) for group in groups]
+
+
+def _belongs(group: Group | None, condition: Conditions) -> bool:
+    return group_of(condition, "trajectory") == group

@@ -13,20 +13,23 @@ from typing import Any, ClassVar
 import numpy as np
 
 from hil.core import FloatArray, IntArray
-from hil.data import FilterSettings
 from hil.dynamics import BaseParameters
 from hil.estimators.checks import require_sizes
-from hil.estimators.consistent import IDENTIFY, Consistent, consistent_least_squares
-from hil.estimators.inertial_bounds import MASS_FACTOR, InertialBounds
+from hil.estimators.consistent import (
+    IDENTIFY,
+    MASS_FACTOR,
+    Consistent,
+    InertialBounds,
+    consistent_least_squares,
+)
 from hil.estimators.least_squares import (
     JointwiseQR,
     Solution,
     at_least_rounding,
     jointwise_least_squares,
 )
-from hil.estimators.parameters import flag, number
-from hil.estimators.rigid_classical import Covariance, RigidClassical
-from hil.estimators.rigid_linear import TERMS
+from hil.estimators.parameters import flag, number, parameter
+from hil.estimators.rigid_linear import TERMS, RigidClassical
 
 PRIOR = 100.0
 """Chosen on the UR10e's four training trajectories, each left out in turn; 1 and 1000 do as well to
@@ -66,16 +69,6 @@ def dissipative(columns: int) -> IntArray:
 class RigidLmi(RigidClassical):
     """Physically consistent rigid-body parameters and Coulomb–viscous friction.
 
-    Args:
-        weighted: Weight the joints by their residual; False is the method as published.
-        mass_factor: Most mass of a link as a multiple of its nominal one, above 1.
-        prior: Pull towards the nominal bodies: 1 counts a link's being off by 100 % like one more
-            sample; 0 for none.
-        sign_width: Width of the tanh that stands for sign(qd) [rad/s]; 0 for the hard sign.
-        filter_columns: Run the friction columns through the filter of the effort.
-        covariance: What standard errors allow for, `hac` or `clustered`.
-        filters: Preprocessing of training and prediction alike, a `FilterSettings` or its dict.
-
     Attributes:
         inertial_: (11n,) in the order of `RobotModel.parameters(rotor=True)`.
         least_eigenvalue_: Smallest eigenvalue of any pseudo-inertia relative to its nominal one.
@@ -88,26 +81,24 @@ class RigidLmi(RigidClassical):
     inertial_: FloatArray
     least_eigenvalue_: float
 
-    def __init__(
-        self,
-        *,
-        weighted: bool = False,
-        mass_factor: float = MASS_FACTOR,
-        prior: float = PRIOR,
-        sign_width: float = 0.01,
-        filter_columns: bool = True,
-        covariance: Covariance = "hac",
-        filters: FilterSettings | dict[str, Any] | None = None,
-    ) -> None:
-        super().__init__(
-            sign_width=sign_width,
-            filter_columns=filter_columns,
-            covariance=covariance,
-            filters=filters,
-        )
-        self.weighted = flag("weighted", weighted)
-        self.mass_factor = number("mass_factor", mass_factor, above=1.0)
-        self.prior = number("prior", prior, at_least=0.0)
+    weighted: bool = parameter(
+        False,
+        flag,
+        doc="Weight the joints by their residual; False is the method as published.",
+    )
+    mass_factor: float = parameter(
+        MASS_FACTOR,
+        number,
+        above=1.0,
+        doc="Most mass of a link as a multiple of its nominal one, above 1.",
+    )
+    prior: float = parameter(
+        PRIOR,
+        number,
+        at_least=0.0,
+        doc="Pull towards the nominal bodies: 1 counts a link's being off by 100 % like one more "
+        "sample; 0 for none.",
+    )
 
     def extras(self) -> dict[str, str]:
         """A solver of semidefinite programs."""

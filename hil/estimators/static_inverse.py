@@ -2,12 +2,12 @@
 
 Eq. 19 divides eq. 18 by K₁ and moves i²·sign(i) to the side of the regressors, where it stands for
 the current that is to be predicted. Here gravity comes from the positions alone and the drive's
-curve is inverted (`hil.estimators.motor`): i = f⁻¹(φ(q)·θ; K₁, K₂, K₀).
+curve is inverted (`hil.estimators.drive_curve`): i = f⁻¹(φ(q)·θ; K₁, K₂, K₀).
 
 The measured current is full of friction that has nothing to do with the pose. Whoever regresses
 gravity on i and i² has that friction in the regressor, which pulls K₁ and K₂ off (errors in
 variables), and cannot tell gravity and K₁ apart: only θ/K₁ shows. So the error of the *predicted
-current* is minimised over θ, K₂ and K₀ (`hil.estimators.current_fit`), with K₁ given: the drive
+current* is minimised over θ, K₂ and K₀ (`hil.estimators.drive_curve`), with K₁ given: the drive
 gains, or 1 where nobody knows them, θ then being in amperes. The regressor holds only positions,
 which are exact. A gravity model that lacks a term leaves its error in K₂.
 
@@ -29,15 +29,16 @@ from hil.dynamics import RobotModel
 from hil.estimators.base import payload_torque
 from hil.estimators.checks import Needs, require_rank
 from hil.estimators.covariance import interval
-from hil.estimators.current_fit import (
+from hil.estimators.drive_curve import (
     CurrentFit,
     Currents,
     fit_currents,
+    has_current,
     linear_residual,
+    nearest_current,
     visible_squares,
 )
 from hil.estimators.dwell_rows import one_row_each, pose_numbers
-from hil.estimators.motor import has_current, nearest_current
 from hil.estimators.parameters import choice, number
 from hil.estimators.static_clustered import PoseClustered, deviation
 from hil.estimators.static_model import Form

@@ -11,11 +11,15 @@ from hil.arms import Payload
 from hil.core import BoolArray, FitError, FloatArray, SpecError
 from hil.data import Dataset, DwellRule, Prediction, SeriesKind, Stream, dwells_of
 from hil.dynamics import RobotModel, joint_columns
-from hil.estimators.base import HONEST, load_of, payload_torque
-from hil.estimators.checks import Needs, require_clean, require_robot, torque_scale
+from hil.estimators.base import HONEST, WlsEstimator, load_of, payload_torque
+from hil.estimators.checks import (
+    Needs,
+    require_clean,
+    require_plausible,
+    require_robot,
+    torque_scale,
+)
 from hil.estimators.gravity import BaseGravity, GravityForm, PaperGravity
-from hil.estimators.plausible import require_plausible
-from hil.estimators.wls import WlsEstimator
 
 Form = Literal["shared", "paper"]
 

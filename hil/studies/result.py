@@ -159,7 +159,7 @@ class StudyResult:
         return card("Study", self.title, facts, notes=(*self.summary, *self.warnings))
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON form, but for NaN; `hil.estimators.model_file.json_bytes` makes those null."""
+        """JSON form, but for NaN; `hil.estimators.base.json_bytes` makes those null."""
         return asdict(self)
 
     @staticmethod

@@ -11,6 +11,7 @@ from hil.core import FloatArray
 from hil.data import Dataset, FilterSettings
 from hil.dynamics import BaseParameters, RobotModel
 from hil.estimators.checks import require_rank
+from hil.estimators.consistent import InertialBounds
 from hil.estimators.friction.law import FrictionLaw
 from hil.estimators.friction.learning import Training, core_groups, rigid_of
 from hil.estimators.friction.library import LEAST_LOAD, LOADED, Columns, groups, rungs
@@ -20,7 +21,6 @@ from hil.estimators.friction.selection import AS_GOOD, Selection, climb
 from hil.estimators.friction.series import temperatures_vary, usual_temperatures
 from hil.estimators.friction.shapes import first_shapes, fitted_shapes
 from hil.estimators.friction.solve import Solved, consistent, friction_ends, solve
-from hil.estimators.inertial_bounds import InertialBounds
 
 NO_TRAJECTORIES = (
     "one trajectory only: friction columns were chosen on parts of it left out, which is less "

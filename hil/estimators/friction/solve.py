@@ -10,10 +10,9 @@ import numpy as np
 
 from hil.core import FloatArray
 from hil.dynamics import BaseParameters
-from hil.estimators.consistent import consistent_least_squares
+from hil.estimators.consistent import InertialBounds, consistent_least_squares
 from hil.estimators.friction.observed import Observed
 from hil.estimators.friction.selection import penalised
-from hil.estimators.inertial_bounds import InertialBounds
 from hil.estimators.least_squares import JointwiseQR, Solution, jointwise_least_squares
 
 PRIOR = 1000.0

@@ -1,6 +1,11 @@
-"""Gravity and the drive's curve from currents: Gauss–Newton on the error of the predicted current.
+"""The curve of a drive, torque over motor current: eq. 16 of the static paper.
 
-i = f⁻¹(X·β + τ_load; K₁, K₂) of eq. 16, with K₁ given. X holds the offset, which is −K₀.
+τ = K₂·i²·sign(i) + K₁·i + K₀ with K₁ > 0 has exactly one current for a torque as long as the torque
+grows with the current. With K₂ < 0, a drive that saturates, it stops growing at i = K₁/(2·abs(K₂)),
+the turning point; beyond the torque there, τ − K₀ = K₁²/(4·abs(K₂)), no current makes that torque.
+
+`fit_currents` identifies gravity and the curve together, with K₁ given, by least squares on the
+predicted current i = f⁻¹(X·β + τ_load; K₁, K₂). X holds the offset, which is −K₀.
 """
 
 from __future__ import annotations
@@ -10,16 +15,51 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hil.core import FitError, FloatArray, IntArray
+from hil.core import BoolArray, FitError, FloatArray, IntArray
 from hil.estimators.covariance import Clustered, ClusterSums, clustered_covariance
-from hil.estimators.motor import has_current, nearest_current, slope_at
 from hil.estimators.regression import WeightedLeastSquares
+
+Constants = FloatArray | float
+"""(n,) one number per joint, or the same for all."""
+
+
+def has_current(torque: FloatArray, k1: Constants, k2: Constants, k0: Constants = 0.0) -> BoolArray:
+    """Whether there is a current for each torque."""
+    found: BoolArray = _discriminant(torque - k0, k1, k2) >= 0.0
+    return found
+
+
+def _discriminant(rest: FloatArray, k1: Constants, k2: Constants) -> FloatArray:
+    return np.asarray(np.square(k1) + 4.0 * k2 * np.abs(rest))
+
+
+def nearest_current(
+    torque: FloatArray, k1: Constants, k2: Constants, k0: Constants = 0.0
+) -> FloatArray:
+    """As `current_of`; for a torque that no current makes, the current at the turning point.
+
+    K₁ must be above 0, which is for the caller to see to.
+    """
+    rest = np.asarray(torque - k0)
+    root = np.sqrt(np.maximum(_discriminant(rest, k1, k2), 0.0))
+    # With the sum below the fraction line, K₂ = 0 is no special case and nothing cancels.
+    current: FloatArray = 2.0 * rest / (k1 + root)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        turning = np.copysign(k1 / (2.0 * np.abs(k2)), rest)
+    return np.where(has_current(torque, k1, k2, k0), current, turning)
+
+
+def slope_at(current: FloatArray, k1: Constants, k2: Constants) -> FloatArray:
+    """Torque per current [N·m/A] at a current; 0 at the turning point."""
+    slope: FloatArray = k1 + 2.0 * k2 * np.abs(current)
+    return slope
+
 
 MOST_STEPS = 50
 MOST_HALVINGS = 30
+
 SMALL_STEP = 1e-10
 """Change of the predicted currents, relative to the largest one, at which the fit has arrived."""
-
 
 VISIBLE = 0.1
 """Share of K₁; at a drive's largest current K₂·i is a few percent of it."""
@@ -87,11 +127,6 @@ def fit_currents(data: Currents, squares: list[int]) -> CurrentFit:
     return CurrentFit(theta[:p], theta[p:], found, residual, int(solver.rank_), condition, J)
 
 
-def linear_residual(data: Currents) -> FloatArray:
-    """(N,) error of the currents of a drive that does not bend."""
-    return _linearised(data, _settled(data, [])[0], [])[1]
-
-
 def _settled(data: Currents, squares: list[int]) -> tuple[FloatArray, WeightedLeastSquares]:
     """Coefficients and K₂ at which the error is least, and the last step's solver."""
     torque = data.k1 * data.current - data.load
@@ -108,6 +143,50 @@ def _settled(data: Currents, squares: list[int]) -> tuple[FloatArray, WeightedLe
         "the drive's curve (K₂ of eq. 16) did not settle: the data tell too little about it",
         hint="fit with square: zero, or record poses with larger gravity torques",
     )
+
+
+def _linearised(
+    data: Currents, theta: FloatArray, squares: list[int]
+) -> tuple[FloatArray, FloatArray]:
+    """Jacobian (N, p + k) of the predicted current, and the residual (N,)."""
+    torque, k2 = _torque_and_k2(data, theta, squares)
+    current = nearest_current(torque, data.k1, k2)
+    slope = slope_at(current, data.k1, k2)
+    own = data.joint[:, None] == np.array(squares, dtype=np.int64)
+    by_k2 = np.where(own, -(current * np.abs(current))[:, None], 0.0)
+    J: FloatArray = np.hstack([data.X, by_k2]) / slope[:, None]
+    return J, data.current - current
+
+
+def _torque_and_k2(
+    data: Currents, theta: FloatArray, squares: list[int]
+) -> tuple[FloatArray, FloatArray]:
+    p = data.X.shape[1]
+    k2 = np.zeros(len(data.current))
+    for number, joint in enumerate(squares):
+        k2[data.joint == joint] = theta[p + number]
+    return data.X @ theta[:p] + data.load, k2
+
+
+def _shortened(
+    data: Currents, theta: FloatArray, step: FloatArray, squares: list[int], residual: FloatArray
+) -> FloatArray:
+    """The step, halved until every torque has a current and the error does not grow."""
+    cost = float(data.weight @ residual**2)
+    for halving in range(MOST_HALVINGS):
+        tried: FloatArray = theta + step / 2.0**halving
+        torque, k2 = _torque_and_k2(data, tried, squares)
+        if not np.all(has_current(torque, data.k1, k2)):
+            continue
+        error = data.current - nearest_current(torque, data.k1, k2)
+        if float(data.weight @ error**2) <= cost * (1 + 1e-12):
+            return tried
+    return theta
+
+
+def linear_residual(data: Currents) -> FloatArray:
+    """(N,) error of the currents of a drive that does not bend."""
+    return _linearised(data, _settled(data, [])[0], [])[1]
 
 
 def visible_squares(data: Currents, joints: list[int]) -> list[int]:
@@ -129,42 +208,3 @@ def _is_visible(data: Currents, theta: FloatArray, joint: int) -> bool:
     largest = float(np.max(np.abs(data.current[rows])))
     determined = solver.rank_ == len(theta)
     return bool(determined and error * largest < VISIBLE * data.k1[rows][0])
-
-
-def _linearised(
-    data: Currents, theta: FloatArray, squares: list[int]
-) -> tuple[FloatArray, FloatArray]:
-    """Jacobian (N, p + k) of the predicted current, and the residual (N,)."""
-    torque, k2 = _torque_and_k2(data, theta, squares)
-    current = nearest_current(torque, data.k1, k2)
-    slope = slope_at(current, data.k1, k2)
-    own = data.joint[:, None] == np.array(squares, dtype=np.int64)
-    by_k2 = np.where(own, -(current * np.abs(current))[:, None], 0.0)
-    J: FloatArray = np.hstack([data.X, by_k2]) / slope[:, None]
-    return J, data.current - current
-
-
-def _shortened(
-    data: Currents, theta: FloatArray, step: FloatArray, squares: list[int], residual: FloatArray
-) -> FloatArray:
-    """The step, halved until every torque has a current and the error does not grow."""
-    cost = float(data.weight @ residual**2)
-    for halving in range(MOST_HALVINGS):
-        tried: FloatArray = theta + step / 2.0**halving
-        torque, k2 = _torque_and_k2(data, tried, squares)
-        if not np.all(has_current(torque, data.k1, k2)):
-            continue
-        error = data.current - nearest_current(torque, data.k1, k2)
-        if float(data.weight @ error**2) <= cost * (1 + 1e-12):
-            return tried
-    return theta
-
-
-def _torque_and_k2(
-    data: Currents, theta: FloatArray, squares: list[int]
-) -> tuple[FloatArray, FloatArray]:
-    p = data.X.shape[1]
-    k2 = np.zeros(len(data.current))
-    for number, joint in enumerate(squares):
-        k2[data.joint == joint] = theta[p + number]
-    return data.X @ theta[:p] + data.load, k2
