@@ -12,7 +12,7 @@ from synthetic_motion import moving, nominal
 
 from hil.core.errors import FitError, PluginError, RecordingError, SpecError
 from hil.estimators import estimator
-from hil.estimators.friction.library import groups
+from hil.estimators.friction_library import groups
 from hil.export.c_build import STRICT, built, compiler, self_tested
 from hil.export.c_columns import GROUPS
 from hil.export.c_export import export_c

@@ -27,7 +27,7 @@ from hil.core.errors import FitError, RecordingError
 from hil.dynamics import RobotModel, base_parameters
 from hil.estimators import estimator, load_model_file, save_model
 from hil.estimators.base import GROUP
-from hil.estimators.friction.library import groups
+from hil.estimators.friction_library import groups
 from hil.estimators.model_file import json_bytes
 from hil.export import json_check, json_columns, json_friction, json_parameters, json_read
 from hil.export.golden import LOAD

@@ -15,8 +15,7 @@ from synthetic_memory import remembering, stopping  # noqa: E402
 from synthetic_motion import nominal  # noqa: E402
 
 from hil.arms.payload import Payload  # noqa: E402
-from hil.estimators import estimator  # noqa: E402
-from hil.estimators.friction import predicted  # noqa: E402
+from hil.estimators import estimator, friction_library  # noqa: E402
 from hil.export.agreement import largest_difference, load_row, scale_of  # noqa: E402
 from hil.export.golden import Golden  # noqa: E402
 from hil.export.torch_export import export_torch  # noqa: E402
@@ -81,7 +80,7 @@ def test_joints_follow_their_temperature_as_predict_says(monkeypatch) -> None:
     asked = remembering(5, celsius=(20.0, 45.0), samples=300)
     columns = {**asked.columns, "temperature": celsius, "q_f": q, "qd_f": qd, "qdd_f": qdd}
     asked = replace(asked, columns={**columns, "effort_f": asked["effort"]})
-    monkeypatch.setattr(predicted, "smoothed", lambda torque, *_, **__: torque)
+    monkeypatch.setattr(friction_library, "smoothed", lambda torque, *_, **__: torque)
     wanted = model.predict(asked).effort
     assert found(traced, (q, qd, qdd), celsius - model.law_.celsius) == pytest.approx(
         wanted,

@@ -9,8 +9,9 @@ from synthetic_memory import dahl_loop
 from synthetic_motion import dwelling, moving, raw
 
 from hil.data.filters import FilterSettings, prepare
-from hil.estimators.friction.memory import advanced, dahl_slopes, dahl_states, path_steps
-from hil.estimators.friction.varpro import _linearised, variable_projection
+from hil.estimators.friction_fit import _linearised, variable_projection
+from hil.estimators.friction_memory import advanced, dahl_slopes, dahl_states, path_steps
+from hil.estimators.streaming import DahlMemory
 
 LENGTH = np.array([1e-4, 3e-3, 0.1])
 T = np.linspace(0.05, 3.0, 80)
@@ -101,6 +102,15 @@ def test_path_without_recorded_velocity_follows_the_filtered_one() -> None:
 
 def test_path_of_a_dwell_is_none() -> None:
     assert np.all(path_steps(prepare(dwelling(3), FilterSettings())) == 0.0)
+
+
+def test_memory_of_a_stream_survives_a_caller_that_reuses_its_array(path, steps) -> None:
+    memory, sample = DahlMemory(LENGTH, [1.0, 10.0]), np.empty((1, 3))
+    for q, step in zip(path, steps, strict=True):
+        sample[:] = q
+        states = memory.after(sample, np.sign(step)[None])
+    for multiple, state in states.items():
+        assert state[0] == pytest.approx(dahl_states(steps, multiple * LENGTH)[-1], abs=1e-12)
 
 
 def decays(theta):

@@ -8,13 +8,27 @@ import pytest
 from synthetic_memory import dahl_loop
 from synthetic_motion import moving, nominal
 
-from hil.estimators.friction.library import CORE, LADDER, groups, rungs
-from hil.estimators.friction.motion import FrictionMotion, Shapes
-from hil.estimators.friction.observed import folds_of, observe
-from hil.estimators.friction.selection import AS_GOOD, FREE, PENALTIES, climb, penalised
-from hil.estimators.friction.series import temperatures_vary
-from hil.estimators.friction.shapes import first_shapes, fitted_shapes
-from hil.estimators.friction.solve import solve
+from hil.estimators.friction_fit import (
+    AS_GOOD,
+    FREE,
+    PENALTIES,
+    climb,
+    first_shapes,
+    fitted_shapes,
+    folds_of,
+    observe,
+    penalised,
+    solve,
+)
+from hil.estimators.friction_library import (
+    CORE,
+    LADDER,
+    FrictionMotion,
+    Shapes,
+    groups,
+    rungs,
+    temperatures_vary,
+)
 
 LENGTH, STRIBECK, POWER = 6e-4, 0.06, 0.55
 ROWS, NOISE = 1500, 0.1

@@ -8,8 +8,7 @@ from collision_parts import fitted
 
 from hil.control.brakes_fail import COUNTED
 from hil.control.rest_report import rest_poses
-from hil.estimators.friction.law import FrictionLaw
-from hil.estimators.friction.motion import Shapes
+from hil.estimators.friction_library import FrictionLaw, Shapes
 from hil.estimators.standstill import holding_friction
 from hil_mock_robot.draw import draw_truth
 from hil_mock_robot.friction import COLD_C, STRIBECK_GONE_C

@@ -14,11 +14,10 @@ from hil.estimators.diffnea.bodies import Bodies
 from hil.estimators.diffnea.forms import FORMS, spread
 from hil.estimators.diffnea.minimise import Local, minimise
 from hil.estimators.diffnea.motion import ArmMotion, sign_of
-from hil.estimators.diffnea.path import Pieces
 from hil.estimators.diffnea.problem import Problem
 from hil.estimators.diffnea.rows import BendingRows
 from hil.estimators.diffnea.unknowns import Unknowns, folding
-from hil.estimators.friction.memory import dahl_slopes, dahl_states
+from hil.estimators.friction_memory import Pieces, dahl_slopes, dahl_states
 from hil.estimators.least_squares import JointwiseQR
 
 BENDING = [name for name, form in FORMS.items() if form.shapes]

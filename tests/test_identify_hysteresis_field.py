@@ -11,7 +11,7 @@ from hil.arms.payload import Payload
 from hil.data import Dataset
 from hil.data.filters import prepare
 from hil.estimators.consistent import InertialBounds
-from hil.estimators.friction.memory import carried_step, dahl_states
+from hil.estimators.friction_memory import carried_step, dahl_states
 from hil.estimators.payload_problem import _filtered
 from hil.estimators.rigid_hysteresis import RigidHysteresis
 

@@ -11,8 +11,8 @@ from hil.core.errors import DataError, FitError, SpecError
 from hil.data import Dataset
 from hil.dynamics import RobotModel
 from hil.estimators import estimator
-from hil.estimators.friction.library import LOADED
-from hil.estimators.hysteresis_settings import BANDWIDTHS, MOTION_HZ, filters_for
+from hil.estimators.friction_library import LOADED
+from hil.estimators.rigid_hysteresis import BANDWIDTHS, MOTION_HZ, filters_for
 
 
 @pytest.fixture(scope="module")

@@ -8,11 +8,11 @@ from scipy.integrate import solve_ivp
 from synthetic_motion import arrivals_of
 
 from hil.data.approach_path import POINTS, QD, Q
+from hil.estimators.friction_memory import states_at_rest
 from hil.estimators.rest_friction import (
     Rest,
     correction_features,
     coulomb_terms,
-    dahl_states,
     drive_terms,
     memory_terms,
     smooth,
@@ -45,13 +45,13 @@ def rest(paths=None, *, load=None, warmer=None, dwells=2, joints=6):
 
 @pytest.mark.parametrize("slid", [0.0, 1e-5, 1e-4, 3e-4])
 def test_a_slide_back_unbends_as_the_closed_form_says(slid) -> None:
-    (state,) = dahl_states(there_and_back(slid), [LENGTH])
+    (state,) = states_at_rest(there_and_back(slid), [LENGTH])
     assert state == pytest.approx(SIDE * (2.0 * np.exp(-slid / LENGTH) - 1.0), abs=1e-12)
 
 
 def test_without_a_slide_back_friction_is_that_of_the_motion() -> None:
     coming = -SIDE[:, :, None] * np.linspace(1e-3, 0.0, POINTS)[None, :, None]
-    for state in dahl_states(coming, [0.5e-4, LENGTH, 5e-4]):
+    for state in states_at_rest(coming, [0.5e-4, LENGTH, 5e-4]):
         assert state == pytest.approx(SIDE, abs=1e-12)
 
 
@@ -67,7 +67,7 @@ def test_states_are_the_integral_of_dahls_equation() -> None:
     end, points = 4.0, 4000
     found = solve_ivp(slope, (0.0, end), [1.0], rtol=1e-9, atol=1e-12, max_step=1e-3)
     path = (position(np.linspace(0.0, end, points)) - position(end))[None, :, None]
-    (state,) = dahl_states(path, [LENGTH])
+    (state,) = states_at_rest(path, [LENGTH])
     assert state[0, 0] == pytest.approx(found.y[0, -1], abs=1e-4)
     assert abs(state[0, 0]) < 0.99
 
@@ -79,15 +79,15 @@ def test_states_do_not_depend_on_how_finely_a_path_is_sampled(turns, length) -> 
     coarse = corners[None, :, None]
     at = np.linspace(0, len(corners) - 1, 40 * (len(corners) - 1) + 1)
     fine = np.interp(at, np.arange(len(corners)), corners)[None, :, None]
-    assert dahl_states(fine, [length])[0] == pytest.approx(dahl_states(coarse, [length])[0])
-    assert np.all(np.abs(dahl_states(coarse, [length])[0]) <= 1.0 + 1e-12)
+    assert states_at_rest(fine, [length])[0] == pytest.approx(states_at_rest(coarse, [length])[0])
+    assert np.all(np.abs(states_at_rest(coarse, [length])[0]) <= 1.0 + 1e-12)
 
 
 def test_the_last_step_leads_to_the_place_of_rest() -> None:
     cut_short = there_and_back(2e-4)[:, :13]
     assert cut_short[0, -1, 0] == pytest.approx(2e-4)
     expected = SIDE * (2.0 * np.exp(-1.0) - 1.0)
-    assert dahl_states(cut_short, [LENGTH])[0] == pytest.approx(expected)
+    assert states_at_rest(cut_short, [LENGTH])[0] == pytest.approx(expected)
 
 
 def test_smoothing_keeps_parabolas_and_takes_noise() -> None:

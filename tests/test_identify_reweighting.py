@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import statsmodels.api as sm
 
-from hil.estimators.friction_exponent import best_exponent, power_of_speed
+from hil.estimators.friction_curve import best_exponent, power_of_speed
 from hil.estimators.robust import (
     Reweighting,
     RobustRows,

@@ -10,7 +10,7 @@ from hil.data.dataset import Dataset
 from hil.dynamics import base_parameters, coulomb_viscous_columns
 from hil.dynamics.inertial import pseudo_inertia
 from hil.estimators import estimator, load_model_file
-from hil.estimators.friction_exponent import power_of_speed
+from hil.estimators.friction_curve import power_of_speed
 
 TRAIN = (1, 2, 3)
 NOISE_A = 0.05

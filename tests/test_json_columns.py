@@ -18,7 +18,7 @@ from test_export_json import EXTRA
 from hil.core.errors import FitError
 from hil.estimators import estimator
 from hil.estimators.base import RobotEstimator
-from hil.estimators.friction.library import column_names, groups
+from hil.estimators.friction_library import column_names, groups
 from hil.export import json_check, json_rest
 from hil.export.golden import golden_of
 from hil.export.json_check import comparisons, differences

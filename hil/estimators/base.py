@@ -48,7 +48,7 @@ from hil.estimators.model_file import (
     save_model,
 )
 from hil.estimators.parameters import Parametrised, require_known
-from hil.estimators.stream import MemorylessStream
+from hil.estimators.streaming import MemorylessStream
 
 GROUP = "hil.estimators"
 

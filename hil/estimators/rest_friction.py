@@ -17,6 +17,7 @@ from scipy.signal import savgol_filter
 
 from hil.core import FloatArray
 from hil.data import QD, Q
+from hil.estimators.friction_memory import states_at_rest
 
 SMOOTHED = 7
 """Points of a path that a local parabola is fitted to: the encoder's noise is a tenth of what the
@@ -73,7 +74,7 @@ def memory_terms(rest: Rest, lengths_rad: Sequence[float]) -> dict[str, FloatArr
         rest: What is known of the arms.
         lengths_rad: Lengths x of Dahl's states [rad].
     """
-    states = dahl_states(smooth(rest.paths[:, :, Q]), lengths_rad)
+    states = states_at_rest(smooth(rest.paths[:, :, Q]), lengths_rad)
     named = {"coulomb": rest.direction}
     named |= {f"memory{k + 1}": state for k, state in enumerate(states)}
     terms = {}
@@ -108,22 +109,3 @@ def smooth(paths: FloatArray, points: int = SMOOTHED) -> FloatArray:
         return paths
     smoothed: FloatArray = savgol_filter(paths, points, 2, axis=1)
     return smoothed
-
-
-def dahl_states(paths: FloatArray, lengths_rad: Sequence[float]) -> list[FloatArray]:
-    """Dahl's state (D, n) at rest for each length, between −1 and 1.
-
-    Args:
-        paths: (D, K, n) positions relative to the place of rest [rad]; every joint slides when its
-            path begins, and comes to 0 at the end.
-        lengths_rad: Lengths [rad].
-    """
-    steps = np.diff(np.concatenate([paths, np.zeros_like(paths[:, :1])], axis=1), axis=1)
-    sign = np.sign(steps)
-    found = []
-    for length in lengths_rad:
-        state, kept = -np.sign(paths[:, 0]), np.exp(-np.abs(steps) / length)
-        for k in range(steps.shape[1]):
-            state = sign[:, k] + (state - sign[:, k]) * kept[:, k]
-        found.append(state)
-    return found

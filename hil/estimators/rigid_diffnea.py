@@ -10,7 +10,7 @@ Bregman divergence (Lee, Wensing & Park 2020): no link ever weighs tons.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any, ClassVar
 
@@ -22,7 +22,6 @@ from hil.data import Dataset, FilterSettings, Stream
 from hil.estimators.checks import require_sizes
 from hil.estimators.diffnea.arm import DiffneaArm
 from hil.estimators.diffnea.bodies import MASS_FACTOR, Bodies
-from hil.estimators.diffnea.carried import DiffneaStream
 from hil.estimators.diffnea.fit import DiffneaFit
 from hil.estimators.diffnea.forms import FORMS
 from hil.estimators.diffnea.unknowns import Unknowns, folding
@@ -30,6 +29,7 @@ from hil.estimators.friction_curve import FrictionCurve, curve_of
 from hil.estimators.least_squares import JointwiseQR, Solution, jointwise_least_squares
 from hil.estimators.parameters import choice, number
 from hil.estimators.rigid_linear import RigidLinear
+from hil.estimators.streaming import DahlMemory, SampleStream
 
 WELL_CONDITIONED = 1e7
 """Condition number of the column-scaled regressor up to which data determine all parameters."""
@@ -77,11 +77,22 @@ class RigidDiffnea(RigidLinear):
 
     def stream(self, payload: Payload | None = None) -> Stream:
         """A predictor for one sample at a time that carries friction states, if there are any."""
-        if not self._arm.form.multiples:
+        arm, values, mounted = self._arm, self.coefficients_, payload or Payload()
+        if not arm.form.multiples:
             return super().stream(payload)
-        return DiffneaStream(
-            self._arm, self.coefficients_, self.gear_rigid_, self.torque_scale_, payload
-        )
+
+        def effort(
+            q: FloatArray, qd: FloatArray, qdd: FloatArray, states: Mapping[float, FloatArray]
+        ) -> FloatArray:
+            load = np.zeros_like(q)
+            if not mounted.is_empty:
+                load = self.robot_.payload_effort(mounted, q, qd, qdd)
+            transmitted = arm.rigid(self.gear_rigid_, q, qd, qdd) + load
+            friction = arm.friction(arm.moment(qd, transmitted, states), values)
+            return (arm.rigid(values, q, qd, qdd) + friction + load) / self.torque_scale_
+
+        length = arm.friction_values(values)[1][:, 0]
+        return SampleStream(self.robot_.n, DahlMemory(length, arm.form.multiples), effort)
 
     def friction_curve(self, qd: FloatArray) -> FrictionCurve | None:
         """Friction at velocities (N, n) [rad/s]; None of a form that has memory."""

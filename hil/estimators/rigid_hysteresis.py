@@ -2,41 +2,89 @@
 
 What classical friction models lack is memory: a joint that turns round, or stands still, has the
 friction its last millirad left it with. Dahl's states carried along the measured path take the
-place of sign(v); friction grows with the torque through the gear; gears and motors ripple. Which
-of the library's columns (`hil.estimators.friction.library`) a joint gets is decided by leaving
-whole training trajectories out, shapes are fitted by variable projection, and the links are those
-of a robot that can exist.
+place of sign(v); friction grows with the torque through the gear; gears and motors ripple.
+
+A fit goes in four steps (`HysteresisFit.learn`):
+
+1. The rigid body with the core of friction; the torque through every gear follows.
+2. The shapes of each joint's friction (lengths, Stribeck speeds, exponents) by variable projection.
+3. The columns of the friction library beside the rigid body, compressed per trajectory. Which
+   groups of columns a joint gets, and how firmly they are held, is decided by leaving trajectories
+   out.
+4. All coefficients at once, then the links of a robot that can exist.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from hil.arms import Payload
-from hil.core import FloatArray
-from hil.data import Dataset, FilterSettings, Prediction, SeriesKind, Stream, rows_to_fit
-from hil.dynamics import RobotModel, base_parameters
+from hil.core import BoolArray, DataError, FloatArray, IntArray, SpecError, did_you_mean
+from hil.data import (
+    AT_REST,
+    Conditions,
+    Dataset,
+    FilterSettings,
+    Prediction,
+    SeriesKind,
+    Stream,
+    derivative,
+    kept_rows,
+    rows_to_fit,
+    sample_rate,
+)
+from hil.dynamics import BaseParameters, RobotModel, base_parameters
 from hil.estimators.base import RobotEstimator, chunks, payload_torque, prepared
 from hil.estimators.checks import (
     Needs,
     require_clean,
     require_motion,
     require_plausible,
+    require_rank,
     require_robot,
     require_sizes,
     torque_scale,
 )
-from hil.estimators.consistent import IDENTIFY
-from hil.estimators.friction.carried import RememberingStream
-from hil.estimators.friction.hysteresis_fit import HysteresisFit
-from hil.estimators.friction.law import FrictionLaw
-from hil.estimators.friction.motion import Shapes
-from hil.estimators.friction.predicted import predicted_friction
-from hil.estimators.hysteresis_settings import filters_for, group_names, motor_turns
+from hil.estimators.consistent import IDENTIFY, InertialBounds
+from hil.estimators.friction_fit import (
+    AS_GOOD,
+    Block,
+    Observed,
+    Part,
+    Solved,
+    Through,
+    climb,
+    consistent_links,
+    first_shapes,
+    fitted_shapes,
+    folds_of,
+    observe,
+    solve,
+)
+from hil.estimators.friction_library import (
+    CORE,
+    LEAST_LOAD,
+    LOADED,
+    MULTIPLES,
+    Columns,
+    FrictionLaw,
+    FrictionMotion,
+    Shapes,
+    groups,
+    motions,
+    predicted_friction,
+    rungs,
+    smoothed,
+    temperatures_vary,
+    usual_temperatures,
+)
+from hil.estimators.friction_memory import path_steps
 from hil.estimators.parameters import flag, number, settings
+from hil.estimators.streaming import DahlMemory, SampleStream
 
 MOTION = ("q_f", "qd_f", "qdd_f")
 
@@ -158,18 +206,25 @@ class RigidHysteresis(RobotEstimator):
 
         It filters nothing: give it motion as smooth as the training's.
         """
-        load = payload or Payload()
+        load, law = payload or Payload(), self.law_
+        celsius = None if law.celsius is None else law.celsius[None]
 
-        def torque(*motion: FloatArray) -> tuple[FloatArray, FloatArray]:
-            Y = self._base.regressor(self.robot_, *motion)
-            carried = np.zeros_like(motion[0])
+        def effort(
+            q: FloatArray, qd: FloatArray, qdd: FloatArray, states: Mapping[float, FloatArray]
+        ) -> FloatArray:
+            Y = self._base.regressor(self.robot_, q, qd, qdd)
+            carried = np.zeros_like(q)
             if not load.is_empty:
-                carried = self.robot_.payload_effort(load, *motion)
-            rigid, gears = (Y @ beta for beta in (self.rigid_, self.gear_rigid_))
-            shape = carried.shape
-            return rigid.reshape(shape) + carried, gears.reshape(shape) + carried
+                carried = self.robot_.payload_effort(load, q, qd, qdd)
+            rigid, transmitted = (
+                (Y @ beta).reshape(q.shape) + carried for beta in (self.rigid_, self.gear_rigid_)
+            )
+            here = FrictionMotion(q, qd, transmitted, law.shapes, celsius=celsius, given=states)
+            torque: FloatArray = rigid + sum(law.torques(here).values())
+            return torque / self.torque_scale_
 
-        return RememberingStream(torque, self.law_, self.torque_scale_)
+        memory = DahlMemory(law.shapes.length, MULTIPLES)
+        return SampleStream(self.robot_.n, memory, effort)
 
     def break_away(self) -> FloatArray:
         """Return the friction (n,) that an unloaded joint at rest holds before it slides [N·m]."""
@@ -237,3 +292,346 @@ class RigidHysteresis(RobotEstimator):
 
     def _name_parameters(self) -> None:
         self.parameter_names_ = (*self._base.names, *self.law_.parameter_names(self.joint_names_))
+
+
+MOTION_HZ, EFFORT_RATIO = 11.0, 1.6
+"""Lowest cut-off for velocity and acceleration, and that of the effort over it. An arm's motion has
+the same frequencies however often it is sampled. A fit learns from a wider band than it predicts:
+ripple shows there. Chosen on four UR10e trajectories, each left out in turn."""
+
+BANDWIDTHS = 5.0
+"""A cut-off is at least so many times the bandwidth of the motion, for arms that are quicker."""
+
+ENERGY = 0.999
+"""Share of the velocity's energy within its bandwidth."""
+
+MOST_OF_NYQUIST = 0.75
+
+
+def filters_for(dataset: Dataset) -> FilterSettings:
+    """Filters by the bandwidth of the motion that is learnt from.
+
+    Raises:
+        DataError: Time does not increase.
+    """
+    bandwidth, nyquist = 0.0, np.inf
+    for condition, rows in dataset.slices():
+        if condition.kind not in AT_REST and rows.stop - rows.start > 2:
+            t = dataset["t"][rows]
+            nyquist = min(nyquist, 0.5 * sample_rate(t))
+            # Measured velocity says it best: differences of positions are mostly noise.
+            measured = dataset["qd"][rows] if "qd" in dataset.columns else None
+            velocity = derivative(dataset["q"][rows], t) if measured is None else measured
+            bandwidth = max(bandwidth, _bandwidth(velocity, t))
+    most = MOST_OF_NYQUIST * nyquist / EFFORT_RATIO
+    motion = round(float(min(max(MOTION_HZ, BANDWIDTHS * bandwidth), most)), 2)
+    effort = round(EFFORT_RATIO * motion, 2)
+    return FilterSettings(unit="hz", velocity=motion, acceleration=motion, effort=effort)
+
+
+def _bandwidth(velocity: FloatArray, t: FloatArray) -> float:
+    """Frequency below which nearly all of the median joint's velocity (N, n) lies [Hz]."""
+    from scipy.signal import welch
+
+    rate = sample_rate(t)
+    length = min(len(t), int(4.0 * rate))
+    if length < 2:
+        raise DataError(
+            f"samples at {rate:.3g} Hz are too slow to tell how quick a motion is",
+            hint="look at the unit of the time stamps: they have to be seconds",
+        )
+    frequency, power = welch(velocity, rate, nperseg=length, axis=0)
+    share = np.cumsum(power, axis=0) / np.maximum(np.sum(power, axis=0), 1e-300)
+    return float(np.median(frequency[np.argmax(share >= ENERGY, axis=0)]))
+
+
+def group_names(name: str, given: str | Sequence[str]) -> str | tuple[str, ...]:
+    """`auto`, or names of groups; the core is always there and need not be named.
+
+    Raises:
+        SpecError: There is no such group.
+    """
+    if given == "auto":
+        return "auto"
+    known = groups(ripple=True, temperature=True)
+    chosen = (given,) if isinstance(given, str) else tuple(given)
+    for group in chosen:
+        if group not in known:
+            words = ["auto", *known]
+            raise SpecError(
+                f"{name}: there is no group {group!r}",
+                hint=did_you_mean(str(group), words) or f"there are {', '.join(words)}",
+            )
+    return tuple(dict.fromkeys((CORE, *chosen)))
+
+
+def motor_turns(robot: RobotModel, gear_ratio: float | None) -> FloatArray:
+    """(n,) motor turns per joint turn; NaN where nobody knows."""
+    if gear_ratio is not None:
+        return np.full(robot.n, gear_ratio)
+    if robot.arm is None:
+        return np.full(robot.n, np.nan)
+    return np.asarray(robot.arm.gear_ratio, dtype=np.float64)
+
+
+NO_TRAJECTORIES = (
+    "one trajectory only: friction columns were chosen on parts of it left out, which is less "
+    "than a trajectory of its own"
+)
+
+WORSE = 1.2
+"""Growth of a joint's error by bounds on links that a note reports."""
+
+BACKBONE = ("load", "stribeck", "speed p")
+"""Friction while shapes are looked for."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Learnt:
+    """Result of a fit; torques in N·m, see `RigidHysteresis`."""
+
+    rigid: FloatArray
+    gear_rigid: FloatArray
+    inertial: FloatArray | None
+    law: FrictionLaw
+    held_out: FloatArray
+    samples: int
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HysteresisFit:
+    """A robot to be learnt.
+
+    Attributes:
+        base: Its base parameters.
+        robot: Nominal model.
+        filters: Of the prepared data.
+        turns: (n,) motor turns per joint turn, NaN where unknown.
+    """
+
+    base: BaseParameters
+    robot: RobotModel
+    filters: FilterSettings
+    turns: FloatArray
+
+    def learn(
+        self,
+        data: Dataset,
+        scale: FloatArray,
+        *,
+        friction: str | Sequence[str],
+        fit_shapes: bool,
+        consistent: bool,
+    ) -> Learnt:
+        """From prepared data whose efforts make `scale` (n,) torque per unit."""
+        training = TrainingData.of(data, self.filters, self.robot, self.base, scale)
+        ripple = bool(np.any(np.isfinite(self.turns)))
+        library = groups(ripple=ripple, temperature=temperatures_vary(data))
+
+        def rigid_with(names: Sequence[str], gear: FloatArray | None) -> FloatArray:
+            """(b,) with these groups beside the core in every joint."""
+            chosen = {name: library[name] for name in (CORE, *names)}
+            observed = training.observed(chosen, gear, shapes)
+            return solve(observed, [tuple(chosen)] * observed.joints).rigid
+
+        shapes = first_shapes(self.turns)
+        gear_rigid = rigid_with(BACKBONE, rigid_with(["speed p"], None))
+        if fit_shapes:
+            shapes = fitted_shapes(training.rest(gear_rigid, shapes), shapes)
+            gear_rigid = rigid_with(BACKBONE, gear_rigid)
+        offered, ladders = _offered(training, library, friction, gear_rigid)
+        observed = training.observed(offered, gear_rigid, shapes)
+        # Parts of one trajectory are no trajectories: there, richer must be better.
+        found = climb(observed, ladders, as_good=AS_GOOD if training.whole else 0.0)
+        solved = solve(observed, found.chosen, found.penalty)
+        self._require_excited(solved)
+        notes = _notes(training, library, friction)
+        if consistent:
+            bounds = InertialBounds.nominal(self.robot)
+            solved = consistent_links(solved, observed, found.chosen, self.base, bounds)
+            notes += self._bound_notes(bounds, solved)
+        return Learnt(
+            solved.rigid,
+            gear_rigid,
+            solved.inertial,
+            FrictionLaw(found.chosen, solved.friction, shapes, usual_temperatures(data)),
+            found.error * np.maximum(solved.grown, 1.0),
+            int(training.kept.sum()),
+            notes,
+        )
+
+    def _require_excited(self, solved: Solved) -> None:
+        weighted = solved.weighted
+        X, _ = weighted.weighted_system()
+        names = (*self.base.names, *(f"friction {i}" for i in range(X.shape[1] - self.base.rank)))
+        require_rank(weighted.rank, weighted.condition, names, X, highest=1e8)
+
+    def _bound_notes(self, bounds: InertialBounds, solved: Solved) -> tuple[str, ...]:
+        """Notes on links at their bounds, and on what the bounds cost."""
+        assert solved.inertial is not None
+        notes = bounds.notes + bounds.reached(solved.inertial, self.robot.joint_names)
+        worst = float(np.max(solved.grown))
+        if worst > WORSE:
+            joint = self.robot.joint_names[int(np.argmax(solved.grown))]
+            notes += (
+                f"links that can exist make the error of {joint} {worst:.2g} times larger: if the "
+                "load and the robot's nominal model are right, try consistent: false",
+            )
+        return notes
+
+
+def _offered(
+    training: TrainingData,
+    library: Mapping[str, Columns],
+    friction: str | Sequence[str],
+    gear_rigid: FloatArray,
+) -> tuple[dict[str, Columns], list[list[tuple[str, ...]]]]:
+    """Groups that are computed, and the lists every joint may choose from."""
+    if friction != "auto":
+        names = tuple(name for name in friction if name in library)
+        return {name: library[name] for name in names}, [[names]] * training.data.n_joints
+    ladder = rungs(ripple="ripple 1" in library, temperature="temperature" in library)
+    unloaded = [tuple(name for name in names if name not in LOADED) for names in ladder]
+    shares = training.load_share(gear_rigid)
+    ladders = [ladder if share >= LEAST_LOAD else unloaded for share in shares]
+    return {name: library[name] for name in ladder[-1]}, ladders
+
+
+def _notes(
+    training: TrainingData, library: Mapping[str, Columns], friction: str | Sequence[str]
+) -> tuple[str, ...]:
+    """What people should know about the choice of groups."""
+    notes = [] if training.whole else [NO_TRAJECTORIES]
+    missing = [] if friction == "auto" else [name for name in friction if name not in library]
+    if missing:
+        left_out = ", ".join(missing)
+        notes.append(f"without motor turns or varying temperatures left out: {left_out}")
+    return tuple(notes)
+
+
+ROWS_PER_CUTOFF = 8.0
+"""A fit keeps so many rows per period of the effort's cut-off: more say nothing new."""
+
+
+@dataclass(eq=False)
+class TrainingData:
+    """Prepared data and all that is computed from them once.
+
+    Attributes:
+        data: Prepared dataset.
+        settings: Its filters.
+        Y: (N, n, b) base regressor.
+        load: (N, n) torque of declared loads [N·m].
+        target: (N, n) filtered torque without them [N·m].
+        steps: (N, n) path [rad].
+        fold: (N,) fold of every row.
+        whole: Whether folds are whole trajectories.
+        kept: (N,) rows that are fitted.
+    """
+
+    data: Dataset
+    settings: FilterSettings
+    Y: FloatArray
+    load: FloatArray
+    target: FloatArray
+    steps: FloatArray
+    fold: IntArray
+    whole: bool
+    kept: BoolArray
+
+    @staticmethod
+    def of(
+        data: Dataset,
+        settings: FilterSettings,
+        robot: RobotModel,
+        base: BaseParameters,
+        scale: FloatArray,
+    ) -> TrainingData:
+        """From prepared data of a robot whose efforts make `scale` (n,) torque per unit."""
+        motion = tuple(data[name] for name in MOTION)
+        load = payload_torque(robot, data, *motion)
+        Y = base.regressor(robot, *motion).reshape(*load.shape, base.rank)
+        fold, whole = folds_of(data)
+        target = data["effort_f"] * scale - load
+        kept = rows_kept(data, settings) & rows_to_fit(data)
+        return TrainingData(data, settings, Y, load, target, path_steps(data), fold, whole, kept)
+
+    def observed(
+        self, groups: Mapping[str, Columns], rigid: FloatArray | None, shapes: Shapes
+    ) -> Observed:
+        """Compressed observations with these groups' columns.
+
+        Args:
+            groups: By name.
+            rigid: (b,) base parameters for the torque through the gears; None for loads alone.
+            shapes: Of the friction.
+        """
+        slices: dict[str, slice] = {}
+        blocks = self._blocks(groups, self.transmitted(rigid), shapes, slices)
+        return observe(blocks, slices, self.Y.shape[2])
+
+    def transmitted(self, rigid: FloatArray | None) -> FloatArray:
+        """(N, n) torque through the gears [N·m]."""
+        return self.load if rigid is None else self.Y @ rigid + self.load
+
+    def load_share(self, rigid: FloatArray) -> FloatArray:
+        """(n,) torque through each gear over what the rigid body leaves, on kept rows, RMS."""
+        Y, target, load = self.Y[self.kept], self.target[self.kept], self.load[self.kept]
+        transmitted = np.mean((Y @ rigid + load) ** 2, axis=0)
+        left = np.mean((target - Y @ rigid) ** 2, axis=0)
+        return np.asarray(np.sqrt(transmitted / np.maximum(left, 1e-300)))
+
+    def rest(self, rigid: FloatArray, shapes: Shapes) -> list[Part]:
+        """Per series its motion, what the rigid body leaves on kept rows, and its filter."""
+        parts = []
+        transmitted = self.transmitted(rigid)
+        for condition, rows, motion in motions(self.data, self.steps, transmitted, shapes):
+            kept = self.kept[rows]
+            left = (self.target[rows] - self.Y[rows] @ rigid)[kept]
+            parts.append((motion, left, self._through(condition, rows)))
+        return parts
+
+    def _blocks(
+        self,
+        groups: Mapping[str, Columns],
+        transmitted: FloatArray,
+        shapes: Shapes,
+        slices: dict[str, slice],
+    ) -> Iterator[Block]:
+        """Columns, regressor and target series by series; sets the columns' `slices`."""
+        for condition, rows, motion in motions(self.data, self.steps, transmitted, shapes):
+            made = {name: columns(motion) for name, columns in groups.items()}
+            start = 0
+            for name, columns in made.items():
+                slices[name] = slice(start, start + len(columns))
+                start += len(columns)
+            F = np.stack([column for columns in made.values() for column in columns], axis=2)
+            F, kept = self._through(condition, rows)(F), self.kept[rows]
+            fold, Y, target = self.fold[rows][kept], self.Y[rows][kept], self.target[rows][kept]
+            for one in np.unique(fold):
+                own = fold == one
+                yield int(one), F[own], Y[own], target[own]
+
+    def _through(self, condition: Conditions, rows: slice) -> Through:
+        """The effort's filter over one series, and the rows that are kept of it."""
+        t, kept = self.data["t"][rows], self.kept[rows]
+        return lambda values: smoothed(values, condition, t, self.settings)[kept]
+
+
+def rows_kept(data: Dataset, settings: FilterSettings) -> BoolArray:
+    """(N,) which rows a fit uses: what the settings say, else enough for the effort's cut-off."""
+    if settings.thins:
+        return kept_rows(data, settings)
+    out = np.zeros(len(data), dtype=bool)
+    for _, rows in data.slices():
+        out[rows][:: _stride(data["t"][rows], settings)] = True
+    return out
+
+
+def _stride(t: FloatArray, settings: FilterSettings) -> int:
+    if len(t) < 2:
+        return 1
+    rate = (len(t) - 1) / (t[-1] - t[0])
+    cutoff = settings.effort * (0.5 * rate if settings.unit == "nyquist" else 1.0)
+    return max(1, int(rate / (ROWS_PER_CUTOFF * cutoff)))

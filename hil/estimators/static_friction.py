@@ -25,9 +25,9 @@ from hil.estimators.rest_rows import (
     resting,
     unknown_paths,
 )
-from hil.estimators.rest_stream import RestStream
 from hil.estimators.standstill import resting_at
 from hil.estimators.static_model import StaticModel
+from hil.estimators.streaming import ApproachMemory, SampleStream
 
 FIRST_TERMS = ("offset", "coulomb")
 """What a first fit knows, before loads are known; gravity from it gives the loads."""
@@ -142,19 +142,20 @@ class StaticFriction(StaticModel):
         """
         load = payload or Payload()
 
-        def standing(q: FloatArray) -> FloatArray:
+        def friction(path: FloatArray, q: FloatArray) -> FloatArray:
+            return self._friction(replace(resting_at(self, q, load), arrivals=path))[0]
+
+        def effort(q: FloatArray, qd: FloatArray, qdd: FloatArray, held: FloatArray) -> FloatArray:
             parts = [*self._parts(q, q, q).values()]
             if drive := self._drive_terms(q, self._load(resting_at(self, q, load))):
                 parts.append(self._weighted(drive))
             if not load.is_empty:
                 parts.append(self._load_effort(load, q, np.zeros_like(q), np.zeros_like(q)))
-            whole: FloatArray = np.sum(parts, axis=0)
+            whole: FloatArray = np.sum(parts, axis=0) + held
             return whole
 
-        def friction(path: FloatArray, q: FloatArray) -> FloatArray:
-            return self._friction(replace(resting_at(self, q, load), arrivals=path))[0]
-
-        return RestStream(self.robot_.n, standing, friction, self.rest_speed, self.period_)
+        memory = ApproachMemory(friction, self.rest_speed, self.period_)
+        return SampleStream(self.robot_.n, memory, effort)
 
     def dry_friction(self) -> FloatArray:
         """(n,) level of dry friction of an unloaded joint [N·m]."""

@@ -1,6 +1,6 @@
 """Columns of the friction library as C expressions.
 
-Every group of `hil.estimators.friction.library` has its columns here as C expressions of what a
+Every group of `hil.estimators.friction_library` has its columns here as C expressions of what a
 joint has at this sample: `v`, `speed` = |v|, `z3` (Dahl's state of three times the shortest
 length), `tau` (torque through the gear) and `load` = |tau|, `peak03` (Stribeck's exponential, 0.3
 as wide), `law025` (sign(v)·|v|^0.25), `sin4`, `cos4` (four times per motor turn).

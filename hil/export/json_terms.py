@@ -89,7 +89,7 @@ SHAPES = {
     "power": Term("1", "p", "exponent of the concave speed law"),
     "turns": Term("1", "N", "motor turns per joint turn, as given; not fitted"),
 }
-"""Of `rigid-hysteresis`: `hil.estimators.friction.motion.Shapes`."""
+"""Of `rigid-hysteresis`: `hil.estimators.friction_library.Shapes`."""
 
 _HERE = f"{REFERENCE_C:g} °C"
 _PEAK = "exp(−|v|/vs)"
@@ -120,7 +120,7 @@ _LIBRARY = {
 
 
 def library_term(column: str) -> Term:
-    """A column of `hil.estimators.friction.library`, by the name its coefficient has.
+    """A column of `hil.estimators.friction_library`, by the name its coefficient has.
 
     Raises:
         KeyError: There is none of that name.

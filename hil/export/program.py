@@ -38,7 +38,7 @@ class PlainFriction:
         viscous: (n,) [N·m·s/rad].
         offset: (n,) [N·m].
         sign_width: Of tanh(qd/width) [rad/s]; 0 for the hard sign.
-        exponent: (n,) of the viscous part, see `hil.estimators.friction_exponent.power_of_speed`.
+        exponent: (n,) of the viscous part, see `hil.estimators.friction_curve.power_of_speed`.
         power_width: Of that [rad/s].
     """
 

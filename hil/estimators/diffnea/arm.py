@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,7 +65,7 @@ class DiffneaArm:
         self,
         qd: FloatArray,
         transmitted: FloatArray | None = None,
-        states: dict[float, FloatArray] | None = None,
+        states: Mapping[float, FloatArray] | None = None,
     ) -> ArmMotion:
         """What friction sees of samples (N, n) that stand alone, or whose states are carried."""
         still = np.zeros_like(qd)

@@ -2,7 +2,7 @@
 
 Every joint's friction is C(motion; s)·c: coefficients c, of which dissipation keeps some from being
 negative, and shapes s within bounds. Without memory, sgn stands for tanh(q̇/width); with it, z is
-Dahl's state (`hil.estimators.friction.memory`) and τ the torque through the gear.
+Dahl's state (`hil.estimators.friction_memory`) and τ the torque through the gear.
 """
 
 from __future__ import annotations

@@ -9,8 +9,7 @@ import numpy as np
 
 from hil.core import FloatArray
 from hil.data import Dataset
-from hil.estimators.diffnea.path import Pieces
-from hil.estimators.friction.memory import path_steps
+from hil.estimators.friction_memory import Pieces, path_steps
 
 
 @dataclass(frozen=True, slots=True, eq=False)
