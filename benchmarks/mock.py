@@ -17,15 +17,15 @@ import numpy as np
 
 from hil.core.typing import FloatArray
 from hil.robot import Segment
-from hil_mock_robot.draw import draw_truth
-from hil_mock_robot.driver import MockRobot
+from hil_mock_robot.embedded.robot import MockRobot
+from hil_mock_robot.plant.truth import draw_truth
 
 SEED = 7
 DT = 1e-3
 UPRIGHT = np.radians([0.0, -90.0, 0.0, -90.0, 0.0, 0.0])
 POSES, QUICK_POSES = 60, 8
 PYTHON_S, QUICK_PYTHON_S = 4.0, 0.5
-START = "from hil_mock_robot.driver import MockRobot; MockRobot('b').connect()"
+START = "from hil_mock_robot.embedded.robot import MockRobot; MockRobot('b').connect()"
 
 
 def run(quick: bool = False) -> dict[str, Any]:
@@ -94,7 +94,7 @@ def _peak_error(rows: Any) -> float:
 
 def _difference(path: FloatArray) -> float:
     """Largest RMS difference of 1 kHz to 4 kHz true currents, per standstill noise of the joint."""
-    from hil_mock_robot.simulation import Setting, Simulation
+    from hil_mock_robot.plant.simulation import Setting, Simulation
 
     truth, currents = draw_truth("ur5", SEED), []
     for substep_hz in (1000.0, 4000.0):
@@ -131,7 +131,7 @@ class _PythonLoop:
     def __init__(self) -> None:
         import mujoco
 
-        from hil_mock_robot.simulation import Setting, Simulation
+        from hil_mock_robot.plant.simulation import Setting, Simulation
 
         self._mujoco = mujoco
         arm = Simulation(draw_truth("ur5", SEED), Setting(125.0), UPRIGHT.copy())

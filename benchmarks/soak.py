@@ -221,7 +221,7 @@ def _noisy_rows(number: int) -> StructArray:
 def _mock_rows(samples: int) -> Iterator[StructArray]:
     """Rows of an embedded mock UR5e that swings there and back, whole minutes."""
     from hil.robot import Segment
-    from hil_mock_robot.driver import MockRobot
+    from hil_mock_robot.embedded.robot import MockRobot
 
     robot = MockRobot("soak", "ur5e", rate_hz=RATE_HZ, seed=7)
     robot.connect()

@@ -104,7 +104,7 @@ def record(seed: int, folder: Path, poses: int | None = None) -> tuple[Dataset, 
     Raises:
         DataError: A run did not complete, or the two did not do the same at the same time.
     """
-    from hil_mock_robot.draw import draw_truth
+    from hil_mock_robot.plant.truth import draw_truth
 
     file = draw_truth("ur5", seed).to_json(folder / "truth.json")
     truth = json.loads(file.read_text("utf-8"))
@@ -182,8 +182,8 @@ def parameters(seed: int, dwells: Dataset) -> dict[str, float]:
 
 def _true_gravity_current(seed: int, q: FloatArray) -> FloatArray:
     """(D, n) gravity of the mock's own plant over K1 [A] at positions (D, n)."""
-    from hil_mock_robot.draw import draw_truth
-    from hil_mock_robot.simulation import Setting, Simulation
+    from hil_mock_robot.plant.simulation import Setting, Simulation
+    from hil_mock_robot.plant.truth import draw_truth
 
     truth, still = draw_truth("ur5", seed), np.zeros(q.shape[1])
     plant = Simulation(truth, Setting(125.0), q[0].copy()).plant

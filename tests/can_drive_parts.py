@@ -8,12 +8,13 @@ import numpy as np
 
 from hil.arms import load_arm
 from hil_mock_robot.cia402 import keys
+from hil_mock_robot.cia402.axis import joints_of
 from hil_mock_robot.cia402.body import Body
 from hil_mock_robot.cia402.contracts import STEP_S, Demand, Measured
 from hil_mock_robot.cia402.dictionary import increments_per_rad, registers_of
-from hil_mock_robot.cia402.drive import Drive, joints_of
-from hil_mock_robot.cia402.states import State
-from hil_mock_robot.draw import draw_truth
+from hil_mock_robot.cia402.drive import Drive
+from hil_mock_robot.cia402.power import State
+from hil_mock_robot.plant.truth import draw_truth
 
 ARM = load_arm("lab6")
 STEPS = 4

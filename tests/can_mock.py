@@ -19,7 +19,7 @@ from typing import Any
 import can
 
 from hil_mock_robot.cia402.telling import tell
-from hil_mock_robot.journal import read_journal
+from hil_mock_robot.server.journal import read_journal
 
 READY_WITHIN_S = 60.0
 ENDED_WITHIN_S = 20.0

@@ -13,10 +13,8 @@ import pytest
 
 from hil.arms import load_arm
 from hil_mock_robot.cia402.contracts import Registers
-from hil_mock_robot.cia402.dictionary import registers_of
-from hil_mock_robot.cia402.eds import eds_of
-from hil_mock_robot.cia402.hooks import Hooks
-from hil_mock_robot.cia402.node import MockNode
+from hil_mock_robot.cia402.dictionary import eds_of, registers_of
+from hil_mock_robot.cia402.node import Hooks, MockNode
 
 NODE = 3
 SYNC, EMERGENCY, HEARTBEAT = 0x080, 0x080 + NODE, 0x700 + NODE

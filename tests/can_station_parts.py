@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from hil_mock_robot.cia402.assembly import Mock
-from hil_mock_robot.cia402.ends import ignored
-from hil_mock_robot.cia402.unit import Unit
-from hil_mock_robot.draw import draw_truth
+from hil_mock_robot.cia402.bus import ignored
+from hil_mock_robot.cia402.station import Unit
+from hil_mock_robot.plant.truth import draw_truth
 
 NMT, SYNC = 0x000, 0x080
 START, STOP, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130

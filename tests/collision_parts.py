@@ -12,9 +12,9 @@ from hil.arms.payload import Payload
 from hil.data import Conditions, Dataset
 from hil.dynamics import load_model
 from hil.estimators import estimator
-from hil_mock_robot.draw import draw_truth
-from hil_mock_robot.sensors import Sensors
-from hil_mock_robot.simulation import Setting, Simulation
+from hil_mock_robot.plant.sensors import Sensors
+from hil_mock_robot.plant.simulation import Setting, Simulation
+from hil_mock_robot.plant.truth import draw_truth
 
 RATE_HZ = load_arm("ur5").rate_hz
 MIDDLE = np.radians([20.0, -80.0, 70.0, -60.0, 60.0, 10.0])

@@ -131,7 +131,7 @@ def commissioning(folder: Path) -> str:
 
 REAL_ARM = """
 from hil.robot import Address
-from hil_mock_robot.driver import MockRobot
+from hil_mock_robot.embedded.robot import MockRobot
 
 
 class RealArm(MockRobot):
@@ -291,7 +291,7 @@ def confirmed_in_the_dashboard(folder: Path) -> str:
     from hil.robot import Address
     from hil.workflow.confirmation import Granted
     from hil.workflow.desk import console_desk
-    from hil_mock_robot.driver import MockRobot
+    from hil_mock_robot.embedded.robot import MockRobot
 
     (folder / "a.yaml").write_bytes((REPOSITORY / "experiments/ci_dwell_12.yaml").read_bytes())
     settings = Settings(runs=folder / "runs", registry=folder, specs=folder, port=8350)
@@ -363,7 +363,7 @@ def jogged_arms_are_confirmed_again(folder: Path) -> str:
     from hil.robot import Address
     from hil.workflow.confirmation import Granted
     from hil.workflow.desk import console_desk
-    from hil_mock_robot.driver import MockRobot
+    from hil_mock_robot.embedded.robot import MockRobot
 
     (folder / "b.yaml").write_text(
         "hil: 1\nname: b\nrobot: ur5\nexcitation: {kind: dwell, waypoints: 4}\n"

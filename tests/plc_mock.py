@@ -14,7 +14,7 @@ from typing import Any
 
 from ur_mock import _wait_until_ready, loopback
 
-from hil_mock_robot.journal import read_journal
+from hil_mock_robot.server.journal import read_journal
 
 
 class MockPlc:

@@ -15,9 +15,9 @@ from synthetic_motion import moving, nominal
 from hil.arms import load_arm
 from hil.arms.payload import Payload
 from hil.dynamics import base_parameters, load_model
-from hil_mock_robot.draw import draw_truth
-from hil_mock_robot.plant import build_plant
-from hil_mock_robot.simulation import Setting, Simulation
+from hil_mock_robot.plant.model import build_plant
+from hil_mock_robot.plant.simulation import Setting, Simulation
+from hil_mock_robot.plant.truth import draw_truth
 
 ROOT = Path(__file__).parents[1]
 

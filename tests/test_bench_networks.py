@@ -12,7 +12,7 @@ from hil.cli import benchmarking
 from hil.data.prediction import Prediction
 from hil.dynamics import load_model
 from hil.studies.inverse_score import nothing
-from hil_mock_robot.draw import draw_truth
+from hil_mock_robot.plant.truth import draw_truth
 
 ROOT = Path(__file__).parents[1]
 PERFECT = 1.7

@@ -31,14 +31,14 @@ from hil.workflow import arming
 from hil.workflow.arming import ARMED_FILE, Moves, Together, arm, confirm_together, require_armed
 from hil.workflow.confirmation import motion_facts
 from hil.workflow.preview import planned
-from hil_mock_robot.driver import MockRobot
+from hil_mock_robot.embedded.robot import MockRobot
 
 AT, ELSEWHERE = "198.51.100.7", "198.51.100.8"
 STATION = "hil_station: 1\nrobots:\n  ur5: {driver: mock, model: ur5, checklist: [Look around.]}\n"
 NAMED = {"robots": {"ur5": AT}}
 REAL_ARM = """
 from hil.robot import Address
-from hil_mock_robot.driver import MockRobot
+from hil_mock_robot.embedded.robot import MockRobot
 
 
 class RealArm(MockRobot):

@@ -35,7 +35,7 @@ from hil.workflow.console import Console
 from hil.workflow.desk import Desk
 from hil.workflow.preview import planned
 from hil.workflow.run_report import RunReport
-from hil_mock_robot.driver import MockRobot
+from hil_mock_robot.embedded.robot import MockRobot
 
 SPEC = """
 hil: 1

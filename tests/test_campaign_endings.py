@@ -195,7 +195,7 @@ def test_a_disk_that_fills_up_before_the_motion_leaves_a_failed_run(
 def test_a_robot_that_cannot_be_closed_takes_no_finished_run_back(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from hil_mock_robot.driver import MockRobot
+    from hil_mock_robot.embedded.robot import MockRobot
 
     def broken(self: MockRobot) -> None:
         raise OSError("socket gone")

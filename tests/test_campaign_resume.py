@@ -320,7 +320,7 @@ class Told:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.said: list[str] = []
-        from hil_mock_robot.driver import MockRobot
+        from hil_mock_robot.embedded.robot import MockRobot
 
         set_payload = MockRobot.set_payload
 

@@ -20,7 +20,7 @@ from hil.recording.run_directory import RunDirectory
 from hil.robot import Capabilities
 from hil.workflow.run_report import RunReport
 from hil.workflow.weighed_before import is_whole, weighed_before
-from hil_mock_robot.driver import MockRobot
+from hil_mock_robot.embedded.robot import MockRobot
 
 SWEEP = """
 hil: 1

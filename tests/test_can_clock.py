@@ -2,7 +2,7 @@
 
 import pytest
 
-from hil_mock_robot.cia402.clock import DeviceClock
+from hil_mock_robot.cia402.station import DeviceClock
 
 
 def test_every_sync_is_a_period_however_long_it_took_on_the_wall() -> None:

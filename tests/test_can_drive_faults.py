@@ -4,7 +4,7 @@ import pytest
 from can_drive_parts import ARM, CSP, CST, CSV, OneDrive
 
 from hil_mock_robot.cia402 import keys
-from hil_mock_robot.cia402.states import State
+from hil_mock_robot.cia402.power import State
 
 ENABLED, FAULT = State.OPERATION_ENABLED, State.FAULT
 BIT_13 = 0x2000

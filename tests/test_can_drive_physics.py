@@ -7,9 +7,9 @@ from can_drive_parts import ARM, CSP, CST, STEPS, SixDrives
 from hil.arms.payload import Payload
 from hil_mock_robot.cia402 import keys
 from hil_mock_robot.cia402.contracts import STEP_S
-from hil_mock_robot.cia402.states import State
-from hil_mock_robot.draw import draw_truth
-from hil_mock_robot.plant import build_plant
+from hil_mock_robot.cia402.power import State
+from hil_mock_robot.plant.model import build_plant
+from hil_mock_robot.plant.truth import draw_truth
 
 BENT = np.radians([20.0, 30.0, -20.0, 40.0, 50.0, -30.0])
 CYCLE_S = STEPS * STEP_S

@@ -7,8 +7,7 @@ import pytest
 from can_drive_parts import OneDrive
 
 from hil_mock_robot.cia402 import keys
-from hil_mock_robot.cia402.power import COASTING_STEPS
-from hil_mock_robot.cia402.states import POWERED, State
+from hil_mock_robot.cia402.power import COASTING_STEPS, POWERED, State
 
 pytestmark = pytest.mark.quick
 

@@ -4,7 +4,7 @@ import pytest
 from can_drive_parts import CSP, CSV, OneDrive
 
 from hil_mock_robot.cia402 import keys
-from hil_mock_robot.cia402.states import Command, State, Transition, command_of, commanded
+from hil_mock_robot.cia402.power import Command, State, Transition, command_of, commanded
 
 NOT_READY, DISABLED = State.NOT_READY_TO_SWITCH_ON, State.SWITCH_ON_DISABLED
 READY, ON, ENABLED = State.READY_TO_SWITCH_ON, State.SWITCHED_ON, State.OPERATION_ENABLED

@@ -7,7 +7,7 @@ import pytest
 from can_drive_parts import ARM, CSP, CST, CSV, OneDrive
 
 from hil_mock_robot.cia402 import keys
-from hil_mock_robot.cia402.states import State
+from hil_mock_robot.cia402.power import State
 
 SPEED = 1.0
 PROFILE, QUICK = 2.0, 8.0

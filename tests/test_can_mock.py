@@ -19,7 +19,7 @@ from hil.arms import load_arm
 from hil.arms.payload import Payload
 from hil.core.errors import SpecError
 from hil_mock_robot.cia402.hosted import HostedMock, mock_on_virtual_bus
-from hil_mock_robot.journal import read_journal
+from hil_mock_robot.server.journal import read_journal
 
 PATIENT = 10.0
 """Wall time without SYNC that changes nothing: results do not depend on how busy we are."""

@@ -16,8 +16,7 @@ from hil.arms import load_arm
 from hil.cli.app import app as hil
 from hil.core.errors import PluginError, SpecError
 from hil_mock_robot.cia402.app import main
-from hil_mock_robot.cia402.bus import end_of
-from hil_mock_robot.cia402.ends import HubEnd, side_path
+from hil_mock_robot.cia402.bus import HubEnd, end_of, side_path
 from hil_mock_robot.cia402.options import mounted_in, nodes_of, parser_of, pose_of
 
 pytestmark = pytest.mark.quick

@@ -19,10 +19,9 @@ from can_mock import mock_can
 
 from hil.core.errors import PluginError, RobotConnectionError
 from hil_mock_robot.cia402.assembly import Mock
-from hil_mock_robot.cia402.ends import ignored
-from hil_mock_robot.cia402.python_can_end import PythonCanEnd
+from hil_mock_robot.cia402.bus import PythonCanEnd, ignored
 from hil_mock_robot.cia402.side import Requests, SideChannel
-from hil_mock_robot.draw import draw_truth
+from hil_mock_robot.plant.truth import draw_truth
 
 
 class NoBus:

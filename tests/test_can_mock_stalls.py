@@ -14,7 +14,7 @@ from can_mock import MockCan, mock_can
 
 from hil.arms import load_arm
 from hil_mock_robot.cia402 import keys
-from hil_mock_robot.cia402.states import State
+from hil_mock_robot.cia402.power import State
 
 ARM = load_arm("lab6")
 COUNTS = ARM.gear_ratio * 2**20 / (2 * math.pi)

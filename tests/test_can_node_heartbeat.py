@@ -12,7 +12,7 @@ from can_node_parts import (
     Bench,
 )
 
-from hil_mock_robot.cia402.nmt import State
+from hil_mock_robot.cia402.node import NmtState
 
 MASTER = 127
 HEARTBEAT_LOST = 0x8130
@@ -138,7 +138,7 @@ def test_the_drive_hears_of_the_loss_before_the_node_leaves_operational():
     bench.node.ticked(1.3)
     assert bench.told == [
         ("connection_lost", HEARTBEAT_LOST),
-        ("nmt_changed", State.PRE_OPERATIONAL),
+        ("nmt_changed", NmtState.PRE_OPERATIONAL),
     ]
 
 

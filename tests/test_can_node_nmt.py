@@ -16,9 +16,13 @@ from can_node_parts import (
 )
 
 from hil_mock_robot.cia402.contracts import key
-from hil_mock_robot.cia402.nmt import State
+from hil_mock_robot.cia402.node import NmtState
 
-STATES = {START: State.OPERATIONAL, STOP: State.STOPPED, PRE_OPERATIONAL: State.PRE_OPERATIONAL}
+STATES = {
+    START: NmtState.OPERATIONAL,
+    STOP: NmtState.STOPPED,
+    PRE_OPERATIONAL: NmtState.PRE_OPERATIONAL,
+}
 
 
 @pytest.mark.parametrize("first", STATES)
@@ -64,7 +68,7 @@ def test_the_drive_is_told_of_each_new_state_once():
     bench = Bench()
     for code in (START, START, STOP):
         bench.command(code)
-    assert bench.told == [("nmt_changed", State.OPERATIONAL), ("nmt_changed", State.STOPPED)]
+    assert bench.told == [("nmt_changed", NmtState.OPERATIONAL), ("nmt_changed", NmtState.STOPPED)]
 
 
 def test_a_start_that_takes_time_is_over_after_it():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from can_station_parts import PERIOD_S, RESET_NODE, START, Desk
 
-from hil_mock_robot.cia402.paths import hermite
+from hil_mock_robot.cia402.axis import hermite
 
 
 def per_sync(desk: Desk) -> int:

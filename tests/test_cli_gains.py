@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 import hil
 from hil.cli.app import app
 from hil.core.errors import FitError
-from hil_mock_robot.draw import draw_truth
+from hil_mock_robot.plant.truth import draw_truth
 
 SPEC = Path(__file__).parent.parent / "experiments" / "ur5_gains.yaml"
 

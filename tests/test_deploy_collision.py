@@ -25,7 +25,7 @@ from hil.control.rest_margin import FADES_S, RestMargin, resting_friction
 from hil.core.errors import DataError, FitError, SpecError
 from hil.dynamics import load_model
 from hil.estimators.conformal import SpeedBands
-from hil_mock_robot.draw import draw_truth
+from hil_mock_robot.plant.truth import draw_truth
 
 LOAD = Payload(3.0, (0.0, 0.0, 0.06), (0.005, 0.005, 0.004, 0.0, 0.0, 0.0))
 FIRST = 150

@@ -16,7 +16,7 @@ from hil.cli.app import app
 from hil.control.hand_guiding import HandGuiding
 from hil.core.errors import FitError, PlanError, SpecError
 from hil.estimators import load_model_file
-from hil_mock_robot.driver import MockRobot
+from hil_mock_robot.embedded.robot import MockRobot
 
 ROOT = Path(__file__).parent.parent
 START_DEG = [20, -70, 60, -40, 60, 10]

@@ -7,12 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from hil_mock_robot.cia402 import sync_watch, watch
-from hil_mock_robot.cia402.drive_objects import MODES
+from hil_mock_robot.cia402 import drive
+from hil_mock_robot.cia402.dictionary import MODES
 from hil_mock_robot.cia402.modes import MODE_BITS
-from hil_mock_robot.cia402.power import COASTING_STEPS
-from hil_mock_robot.cia402.states import State, command_of, commanded
-from hil_mock_robot.step import OVERLOAD_S, TRACKING_LIMIT_RAD
+from hil_mock_robot.cia402.power import COASTING_STEPS, State, command_of, commanded
+from hil_mock_robot.plant.step import OVERLOAD_S, TRACKING_LIMIT_RAD
 
 PAGE = (Path(__file__).parents[1] / "docs" / "reference" / "mock-can-drives.md").read_text("utf-8")
 
@@ -46,10 +45,10 @@ def test_the_modes_on_the_page_are_those_that_are_built() -> None:
 
 def test_limits_on_the_page_are_those_of_the_code() -> None:
     codes = {row[0].split("h")[0]: row[1] for row in table("code")}
-    assert f"{watch.HOT_C:g} °C" in codes["4310"]
-    assert f"{watch.OVERSPEED:g} times" in codes["8400"]
-    assert f"{sync_watch.SYNC_LOST_STEPS} ms" in codes["8700"]
+    assert f"{drive.HOT_C:g} °C" in codes["4310"]
+    assert f"{drive.OVERSPEED:g} times" in codes["8400"]
+    assert f"{drive.SYNC_LOST_STEPS} ms" in codes["8700"]
     assert f"{OVERLOAD_S:g} s" in codes["2310"]
     assert f"{TRACKING_LIMIT_RAD:g} rad" in codes["8611"]
-    assert f"{watch.WARM_C:g} °C" in PAGE
+    assert f"{drive.WARM_C:g} °C" in PAGE
     assert f"no current for {COASTING_STEPS} ms" in PAGE

@@ -13,7 +13,7 @@ from hil_mock_robot.cia402.faults import KINDS, OWN_DURATION, Fault, read_faults
 from hil_mock_robot.cia402.options import parser_of
 from hil_mock_robot.cia402.side import Requests
 from hil_mock_robot.cia402.telling import MAIN_KEYS
-from hil_mock_robot.side_requests import request_of
+from hil_mock_robot.server.side_channel import request_of
 
 REFERENCE = Path(__file__).parents[1] / "docs" / "reference"
 SOURCES = Path(inspect.getfile(Requests)).parent

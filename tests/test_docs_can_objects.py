@@ -9,10 +9,7 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
-from hil_mock_robot.cia402.communication_objects import COMMUNICATION
-from hil_mock_robot.cia402.dictionary import TABLE
-from hil_mock_robot.cia402.drive_objects import DRIVE, VENDOR
-from hil_mock_robot.cia402.objects import Group, Object
+from hil_mock_robot.cia402.dictionary import COMMUNICATION, DRIVE, TABLE, VENDOR, Group, Object
 
 PAGE = Path(__file__).parent.parent / "docs/reference/mock-can-objects.md"
 HEAD = "| object | name | type | access | default | PDO | may be written | unit, remark |"

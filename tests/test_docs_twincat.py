@@ -8,10 +8,8 @@ from pathlib import Path
 
 from hil_drivers.twincat.options import Options
 from hil_mock_robot.twincat.faults import KINDS
-from hil_mock_robot.twincat.loading import Result
-from hil_mock_robot.twincat.memory import contract
-from hil_mock_robot.twincat.phases import Command
-from hil_mock_robot.twincat.structured_text import declared_in
+from hil_mock_robot.twincat.memory import contract, declared_in
+from hil_mock_robot.twincat.program import Command, Result
 
 DOCS = Path(__file__).parent.parent / "docs"
 PLC = (DOCS / "reference" / "twincat-plc.md").read_text("utf-8")

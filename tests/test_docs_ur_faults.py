@@ -7,9 +7,9 @@ import pytest
 from ur_machine import Wire, machine_of
 from ur_mock import loopback
 
+from hil_mock_robot.ur.dashboard import PRESSES
 from hil_mock_robot.ur.faults import KINDS, OWN_DURATION, Fault, read_faults
-from hil_mock_robot.ur.pacing import LockStep
-from hil_mock_robot.ur.presses import PRESSES
+from hil_mock_robot.ur.loop import LockStep
 from hil_mock_robot.ur.side import SideService
 from hil_mock_robot.ur.telling import request_of
 from hil_mock_robot.ur.troubles import Troubles

@@ -116,7 +116,7 @@ def test_panda_holds_its_wrist_with_the_torque_its_masses_ask_for():
 
 
 def test_mock_says_that_it_has_no_drives_for_seven_joints():
-    from hil_mock_robot.draw import draw_truth
+    from hil_mock_robot.plant.truth import draw_truth
 
     with pytest.raises(SpecError, match="arms with 6 joints; panda has 7"):
         draw_truth("panda")

@@ -10,8 +10,8 @@ from hil.control.brakes_fail import COUNTED
 from hil.control.rest_report import rest_poses
 from hil.estimators.friction_library import FrictionLaw, Shapes
 from hil.estimators.standstill import holding_friction
-from hil_mock_robot.draw import draw_truth
-from hil_mock_robot.friction import COLD_C, STRIBECK_GONE_C
+from hil_mock_robot.plant.friction import COLD_C, STRIBECK_GONE_C
+from hil_mock_robot.plant.truth import draw_truth
 
 SHAPES = Shapes(np.array([1e-3]), np.array([0.05]), np.array([0.5]), np.array([np.nan]))
 

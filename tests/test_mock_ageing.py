@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hil.core.errors import SpecError
-from hil_mock_robot.driver import MockRobot
+from hil_mock_robot.embedded.robot import MockRobot
 
 SHOULDER = 1
 

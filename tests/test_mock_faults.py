@@ -10,7 +10,7 @@ from mock_motions import ASIDE, UPRIGHT, move, play
 from hil.arms.payload import Payload
 from hil.core.errors import CommandRefused, RobotConnectionError, RobotFault, RobotTimeout
 from hil.robot import Status
-from hil_mock_robot.driver import MockRobot
+from hil_mock_robot.embedded.robot import MockRobot
 
 DT = 1 / 125
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hil_mock_robot.draw import draw_truth
-from hil_mock_robot.friction import friction_laws, friction_torque, slip_elements
+from hil_mock_robot.plant.friction import friction_laws, friction_torque, slip_elements
+from hil_mock_robot.plant.truth import draw_truth
 
 DT = 1e-3
 WARM_C = 60.0

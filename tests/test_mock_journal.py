@@ -10,9 +10,9 @@ from mock_motions import ASIDE, UPRIGHT, move, play
 
 from hil.arms.payload import Payload
 from hil.core.errors import CommandRefused, DataError, RobotConnectionError, RobotFault
-from hil_mock_robot.driver import MockRobot
-from hil_mock_robot.journal import read_journal
-from hil_mock_robot.simulation import Simulation
+from hil_mock_robot.embedded.robot import MockRobot
+from hil_mock_robot.plant.simulation import Simulation
+from hil_mock_robot.server.journal import read_journal
 
 
 @pytest.fixture
@@ -178,7 +178,7 @@ def test_a_journal_is_continued_by_the_next_connection_and_the_next_process(path
 
 def test_lines_survive_a_killed_process(path):
     code = (
-        "import os, signal; from hil_mock_robot.driver import MockRobot\n"
+        "import os, signal; from hil_mock_robot.embedded.robot import MockRobot\n"
         f"mock = MockRobot('bench', journal={str(path)!r}); mock.connect(); mock.stop()\n"
         "os.kill(os.getpid(), signal.SIGKILL)"
     )

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from hil.core.errors import SpecError
-from hil_mock_robot.driver import MockRobot
-from hil_mock_robot.faults import KINDS, Fault, faults_of
-from hil_mock_robot.options import Options
+from hil_mock_robot.embedded.faults import KINDS, Fault, faults_of
+from hil_mock_robot.embedded.options import Options
+from hil_mock_robot.embedded.robot import MockRobot
 
 PAGE = Path(__file__).parents[1] / "docs" / "reference" / "mock.md"
 

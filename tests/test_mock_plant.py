@@ -7,9 +7,10 @@ import pytest
 from hil.arms import load_arm
 from hil.arms.payload import Payload
 from hil.core.errors import SpecError
-from hil_mock_robot.draw import draw_truth
-from hil_mock_robot.mounting import MOUNTS, gravity_of
-from hil_mock_robot.plant import build_plant
+from hil_mock_robot.embedded.options import gravity_of
+from hil_mock_robot.plant.model import build_plant
+from hil_mock_robot.plant.records import MOUNTS
+from hil_mock_robot.plant.truth import draw_truth
 
 pytestmark = pytest.mark.quick
 

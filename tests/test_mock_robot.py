@@ -12,8 +12,8 @@ from mock_motions import blend, fourier, play, segment
 from hil.arms.payload import Payload
 from hil.core.errors import CommandRefused, RobotConnectionError, RobotFault, SpecError
 from hil.robot import Robot, Status, state_dtype
-from hil_mock_robot.driver import MockRobot
-from hil_mock_robot.mock import EmbeddedMock
+from hil_mock_robot.embedded.robot import MockRobot
+from hil_mock_robot.mocks import EmbeddedMock
 
 UPRIGHT = np.radians([0.0, -90.0, 0.0, -90.0, 0.0, 0.0])
 FAR = UPRIGHT + np.array([7.0, 0, 0, 0, 0, 0])
@@ -316,7 +316,7 @@ def in_a_fresh_process(code):
 
 def test_mujoco_and_numba_load_on_connect_only():
     code = (
-        "import sys, hil.arms, hil.robot; from hil_mock_robot.driver import MockRobot;"
+        "import sys, hil.arms, hil.robot; from hil_mock_robot.embedded.robot import MockRobot;"
         "MockRobot('b').limits; print(sorted({'mujoco', 'numba'} & set(sys.modules)))"
     )
     assert in_a_fresh_process(code).stdout.strip() == "[]"
@@ -326,7 +326,8 @@ def test_missing_libraries_are_a_plugin_error_that_says_what_to_install():
     code = (
         "import importlib.util as u; find = u.find_spec;"
         "u.find_spec = lambda n, *a: None if n in ('mujoco', 'numba') else find(n, *a);"
-        "from hil_mock_robot.driver import MockRobot; from hil.core.errors import PluginError\n"
+        "from hil_mock_robot.embedded.robot import MockRobot\n"
+        "from hil.core.errors import PluginError\n"
         "try: MockRobot('b')\n"
         "except PluginError as e: print(e)"
     )

@@ -9,10 +9,10 @@ from mock_motions import blend, fourier, hold
 from hil.arms import load_arm
 from hil.arms.payload import Payload
 from hil.core.errors import SpecError
-from hil_mock_robot.draw import draw_truth
-from hil_mock_robot.plant import build_plant
-from hil_mock_robot.records import SERVO_S, timing_of
-from hil_mock_robot.simulation import Setting, Simulation
+from hil_mock_robot.plant.model import build_plant
+from hil_mock_robot.plant.records import SERVO_S, timing_of
+from hil_mock_robot.plant.simulation import Setting, Simulation
+from hil_mock_robot.plant.truth import draw_truth
 
 UPRIGHT = np.radians([0.0, -90.0, 0.0, -90.0, 0.0, 0.0])
 BENT = np.radians([40.0, -60.0, 70.0, -120.0, 50.0, -80.0])

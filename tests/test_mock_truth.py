@@ -9,9 +9,8 @@ import pytest
 
 from hil.arms import load_arm
 from hil.core.errors import DataError, SpecError
-from hil_mock_robot.draw import draw_truth, ranges
-from hil_mock_robot.mock import EmbeddedMock
-from hil_mock_robot.truth import Truth
+from hil_mock_robot.mocks import EmbeddedMock
+from hil_mock_robot.plant.truth import Truth, draw_truth, ranges
 
 SEEDS = range(8)
 
@@ -65,7 +64,7 @@ def test_other_arms_scale_the_friction_of_the_ur5_by_their_torque_limits(monkeyp
     arm = load_arm("ur5")
     twice = replace(arm, name="twice", effort_max=2 * arm.effort_max)
     monkeypatch.setattr(
-        "hil_mock_robot.draw.published", lambda name: twice if name == "twice" else arm
+        "hil_mock_robot.plant.truth.published", lambda name: twice if name == "twice" else arm
     )
     low, high = ranges()["friction"]["coulomb"]
     for joint, reference in zip(

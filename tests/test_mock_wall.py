@@ -15,8 +15,8 @@ from mock_motions import ASIDE, UPRIGHT, move, play
 from hil.core.errors import RobotConnectionError, RobotError, RobotFault, RobotTimeout
 from hil.robot import Robot, Status
 from hil.testing.conformance import robot_conformance
-from hil_mock_robot.driver import MockRobot
-from hil_mock_robot.journal import read_journal
+from hil_mock_robot.embedded.robot import MockRobot
+from hil_mock_robot.server.journal import read_journal
 
 pytestmark = pytest.mark.wire
 
@@ -354,7 +354,7 @@ def test_a_forgotten_robot_ends_its_thread(make):
 
 def test_a_forgotten_robot_does_not_keep_the_interpreter_alive():
     code = (
-        "from hil_mock_robot.driver import MockRobot\n"
+        "from hil_mock_robot.embedded.robot import MockRobot\n"
         "mock = MockRobot('bench', clock='wall'); mock.connect(); mock.read(); print('read')"
     )
     done = subprocess.run(

@@ -13,7 +13,7 @@ from hil.maintenance.pipeline.simulation import simulate
 from hil.report.simulation_found import found
 from hil.report.simulation_page import render_simulation
 from hil.spec.schedule import ScheduleSpec, load_schedule_spec
-from hil_mock_robot.draw import draw_truth
+from hil_mock_robot.plant.truth import draw_truth
 
 pytestmark = pytest.mark.proof
 

@@ -22,8 +22,8 @@ from hil.dynamics import base_parameters, load_model
 from hil.estimators.drive_gains import calibrate_gains
 from hil.estimators.static_linear import StaticLinear
 from hil.importers.load import load_source
-from hil_mock_robot.draw import draw_truth
-from hil_mock_robot.plant import build_plant
+from hil_mock_robot.plant.model import build_plant
+from hil_mock_robot.plant.truth import draw_truth
 
 pytestmark = [pytest.mark.proof, pytest.mark.timeout(900)]
 

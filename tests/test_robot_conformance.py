@@ -22,7 +22,7 @@ from hil.testing.conformance import NotConforming, robot_conformance
 from hil.testing.robot_checks import BEFORE_AND_AFTER, BENCH, CONNECTED, FAULTY
 from hil.testing.stop_checks import a_fault_surfaces_in_the_next_read
 from hil.testing.unit_checks import rows_are_in_the_units_they_say
-from hil_mock_robot.driver import MockRobot
+from hil_mock_robot.embedded.robot import MockRobot
 
 
 def embedded_mock() -> Robot:

@@ -34,7 +34,7 @@ from hil.robot.process import RobotProcess
 from hil.spec.station import StationRobot
 from hil.testing.moves import move
 from hil.workflow.driver_check import check_driver
-from hil_mock_robot.driver import MockRobot
+from hil_mock_robot.embedded.robot import MockRobot
 
 ROOT = Path(__file__).parent.parent
 Make = Callable[..., RobotProcess]

@@ -27,7 +27,7 @@ from hil.report.try_out_page import trial_page
 from hil.robot import Capabilities, Identity, TorqueControlled, state_dtype
 from hil.spec.station import StationRobot
 from hil.studies.soundness import faults_of
-from hil_mock_robot.draw import draw_truth
+from hil_mock_robot.plant.truth import draw_truth
 
 
 class Recording:

@@ -21,7 +21,7 @@ from hil.core.errors import (
 )
 from hil_drivers.twincat import orders
 from hil_drivers.twincat.robot import TwinCatRobot
-from hil_mock_robot.twincat.phases import Phase
+from hil_mock_robot.twincat.program import Phase
 
 
 @pytest.fixture

@@ -15,10 +15,9 @@ from hil_drivers.twincat.rows import HostClock, state_rows
 from hil_drivers.twincat.symbols import CONTRACT, REASONS, layout_of
 from hil_drivers.twincat.symbols import Result as DriversResult
 from hil_drivers.twincat.upload import set_points, sums_of, upload
-from hil_mock_robot.twincat import loading
-from hil_mock_robot.twincat.memory import Memory, contract
-from hil_mock_robot.twincat.playing import Ramp, Trajectory
-from hil_mock_robot.twincat.structured_text import declared_in
+from hil_mock_robot.twincat import program
+from hil_mock_robot.twincat.memory import Memory, contract, declared_in
+from hil_mock_robot.twincat.program import Ramp, Trajectory
 
 pytestmark = pytest.mark.quick
 
@@ -145,7 +144,7 @@ def test_driver_and_structured_text_lay_out_the_same_memory():
 
 
 def test_driver_and_mock_mean_the_same_by_every_result():
-    mock = {each.name: each.value for each in loading.Result}
+    mock = {each.name: each.value for each in program.Result}
     assert {each.name: each.value for each in DriversResult} == mock
     assert set(REASONS) == set(mock.values()) - {0}
 
@@ -169,7 +168,7 @@ def some_segment(n=500):
 
 def test_the_sums_are_those_that_the_plc_adds_up_word_by_word():
     rows = set_points(some_segment(), LAYOUT.set_point)
-    assert sums_of(rows) == loading.sums_of(rows)
+    assert sums_of(rows) == program.sums_of(rows)
     a = b = 0
     for word in np.frombuffer(rows[:20].tobytes(), "<u4").tolist():
         a = (a + word) % 2**32
@@ -228,11 +227,11 @@ SPOILT = {
 @pytest.mark.parametrize("result", SPOILT)
 def test_the_plc_refuses_what_an_arm_must_not_do_and_names_the_axis(result):
     rows = resting()
-    assert loading.refusal_of(rows, info(), np.zeros(6), 1e-3) == (loading.Result.DONE, -1)
+    assert program.refusal_of(rows, info(), np.zeros(6), 1e-3) == (program.Result.DONE, -1)
     name, at, value = SPOILT[result]
     rows[name][at, 4] = value
-    told = loading.refusal_of(rows, info(), np.zeros(6), 1e-3)
-    assert told == (loading.Result[result], 4)
+    told = program.refusal_of(rows, info(), np.zeros(6), 1e-3)
+    assert told == (program.Result[result], 4)
 
 
 def test_a_ramp_brings_all_joints_to_rest_together_with_no_step_in_position():

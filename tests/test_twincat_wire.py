@@ -271,8 +271,7 @@ def test_what_nobody_reads_before_anything_is_started_is_left_out_and_no_loss(ro
 def bare_plc(*, without=(), contract=None, model="lab6", cycle_s=0.001):
     """The PLC's memory behind ADS, in this process: nothing runs in it."""
     from hil.arms import load_arm
-    from hil_mock_robot.twincat.ads import PlcHandler
-    from hil_mock_robot.twincat.links import Links
+    from hil_mock_robot.twincat.ads import Links, PlcHandler
     from hil_mock_robot.twincat.memory import Memory
 
     address, memory, arm = loopback(), Memory(without), load_arm("lab6")

@@ -13,14 +13,13 @@ from ur_machine import Wire, machine_of
 from ur_mock import loopback, mock_ur
 
 from hil.core.errors import CommandRefused, PluginError, SpecError
-from hil_mock_robot.command_line import loopback_of
+from hil_mock_robot.server.options import loopback_of
 from hil_mock_robot.ur.app import main
-from hil_mock_robot.ur.mode_codes import RobotMode, SafetyMode
+from hil_mock_robot.ur.dashboard import PRESSES, pressed
+from hil_mock_robot.ur.loop import LockStep, listen
+from hil_mock_robot.ur.modes import RobotMode, SafetyMode
 from hil_mock_robot.ur.options import serial_of
-from hil_mock_robot.ur.pacing import LockStep
-from hil_mock_robot.ur.presses import PRESSES, pressed
 from hil_mock_robot.ur.side import SideService
-from hil_mock_robot.ur.sockets import listen
 from hil_mock_robot.ur.telling import request_of, tell
 from hil_mock_robot.ur.troubles import Troubles
 

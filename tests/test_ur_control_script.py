@@ -26,9 +26,8 @@ from ur_control_parts import (
 from hil_mock_robot.ur.control_script import HANDLERS
 from hil_mock_robot.ur.kinematics import jacobian, pose_of, pose_trans
 from hil_mock_robot.ur.modes import RuntimeState
-from hil_mock_robot.ur.motions import Leg
-from hil_mock_robot.ur.settings import set_watchdog
-from hil_mock_robot.ur.threaded import ANOTHER_THREAD
+from hil_mock_robot.ur.program import ANOTHER_THREAD, set_watchdog
+from hil_mock_robot.ur.routes import Leg
 
 
 def test_the_script_is_ready_in_its_first_tick_and_has_no_operation_under_way():

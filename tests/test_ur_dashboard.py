@@ -11,10 +11,9 @@ from hypothesis import strategies as st
 from ur_control_parts import HOME
 from ur_machine import SERIAL, Wire, machine_of, pass_time
 
-from hil_mock_robot.ur.dashboard import LONGEST_LINE, DashboardService
-from hil_mock_robot.ur.dashboard_commands import COMMANDS
-from hil_mock_robot.ur.mode_codes import RobotMode, RuntimeState
-from hil_mock_robot.ur.motions import MoveJ
+from hil_mock_robot.ur.dashboard import COMMANDS, LONGEST_LINE, DashboardService
+from hil_mock_robot.ur.modes import RobotMode, RuntimeState
+from hil_mock_robot.ur.motion import MoveJ
 
 REFUSAL = (
     "Command is not allowed due to safety reasons, please switch robot to Remote Control mode "

@@ -8,17 +8,15 @@ from ur_machine import Wire, machine_of, pass_time
 
 from hil.arms.payload import Payload
 from hil.core.errors import SpecError
-from hil_mock_robot.schedule import Schedule
+from hil_mock_robot.server.faults import Schedule
+from hil_mock_robot.ur.dashboard import IdleProgram
 from hil_mock_robot.ur.faults import Fault, fault_of, faults_of, read_faults
-from hil_mock_robot.ur.heat import CODE
-from hil_mock_robot.ur.line import Line
+from hil_mock_robot.ur.machine import CODE
 from hil_mock_robot.ur.modes import RobotMode, RuntimeState, SafetyMode
-from hil_mock_robot.ur.motions import MoveJ
-from hil_mock_robot.ur.ownership import Ownership
-from hil_mock_robot.ur.pendant import IdleProgram
-from hil_mock_robot.ur.stopping import StopJoints
+from hil_mock_robot.ur.motion import MoveJ, StopJoints
+from hil_mock_robot.ur.rtde import Ownership
 from hil_mock_robot.ur.troubles import Troubles
-from hil_mock_robot.ur.wire import Framer, Kind, package
+from hil_mock_robot.ur.wire import Framer, Kind, Line, package
 
 pytestmark = pytest.mark.quick
 

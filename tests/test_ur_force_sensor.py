@@ -7,7 +7,7 @@ from ur_machine import machine_of, pass_time
 
 from hil.arms.payload import Payload
 from hil_mock_robot.ur import kinematics
-from hil_mock_robot.ur.motions import MoveJ
+from hil_mock_robot.ur.motion import MoveJ
 
 BENT = np.array([0.2, -1.4, 1.6, -1.7, -1.5, 0.1])
 NO_TOOL = np.zeros(6)

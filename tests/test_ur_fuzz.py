@@ -12,20 +12,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from ur_machine import machine_of
 
-from hil_mock_robot.journal import Journal
+from hil_mock_robot.server.journal import Journal
 from hil_mock_robot.ur.contracts import Service
 from hil_mock_robot.ur.control_script import HANDLERS
-from hil_mock_robot.ur.dashboard_commands import COMMANDS
-from hil_mock_robot.ur.disk import CONTROL_LOOP
+from hil_mock_robot.ur.dashboard import COMMANDS, CONTROL_LOOP
 from hil_mock_robot.ur.faults import KINDS, WHEN
-from hil_mock_robot.ur.pacing import LockStep
+from hil_mock_robot.ur.loop import LockStep
 from hil_mock_robot.ur.rtde import RtdeService
 from hil_mock_robot.ur.script_functions import ACTIONS
-from hil_mock_robot.ur.series import series_of
 from hil_mock_robot.ur.services import services_of
 from hil_mock_robot.ur.side import SideService
 from hil_mock_robot.ur.troubles import Troubles
-from hil_mock_robot.ur.variables import inputs_of, outputs_of
+from hil_mock_robot.ur.variables import inputs_of, outputs_of, series_of
 from hil_mock_robot.ur.wire import Framer, Kind, package
 from hil_mock_robot.ur.witness import Witness
 

@@ -14,19 +14,21 @@ from scipy.spatial.transform import Rotation
 from hil.arms import load_arm
 from hil.arms.payload import Payload
 from hil.core.errors import SpecError
-from hil_mock_robot.plant import build_plant, nominal_links
-from hil_mock_robot.ur.chain import Posture, lengths_of
-from hil_mock_robot.ur.inverse import postures
+from hil_mock_robot.plant.model import build_plant, nominal_links
 from hil_mock_robot.ur.kinematics import (
+    Posture,
+    frame_of,
     jacobian,
+    lengths_of,
+    pose_from,
     pose_inv,
     pose_of,
     pose_trans,
+    postures,
     solve,
     tool_frame,
     tool_velocity,
 )
-from hil_mock_robot.ur.poses import frame_of, pose_from
 
 NO_TCP = np.zeros(6)
 ANGLES = st.floats(-2 * np.pi, 2 * np.pi)

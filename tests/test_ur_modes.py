@@ -5,10 +5,15 @@ import pytest
 from ur_machine import machine_of, pass_time
 
 from hil_mock_robot.ur.contracts import Setpoint
-from hil_mock_robot.ur.mode_codes import RobotMode, RuntimeState, SafetyMode
-from hil_mock_robot.ur.modes import Modes
-from hil_mock_robot.ur.pendant import IdleProgram
-from hil_mock_robot.ur.transitions import TRANSITIONS, UNLOCK_AFTER_S
+from hil_mock_robot.ur.dashboard import IdleProgram
+from hil_mock_robot.ur.modes import (
+    TRANSITIONS,
+    UNLOCK_AFTER_S,
+    Modes,
+    RobotMode,
+    RuntimeState,
+    SafetyMode,
+)
 
 TICK_S = 0.008
 

@@ -8,10 +8,19 @@ from scipy.spatial.transform import Rotation
 
 from hil.arms import load_arm
 from hil_mock_robot.ur.kinematics import pose_of, pose_trans, tool_velocity
-from hil_mock_robot.ur.limits import JOINT_LIMITS, SINGULARITY, SUDDEN_CHANGE, MotionImpossible
-from hil_mock_robot.ur.motions import Leg, MoveJ, MoveJPose, MoveL, MovePath
-from hil_mock_robot.ur.servoing import ServoJ, SpeedJ, SpeedL
-from hil_mock_robot.ur.stopping import StopJoints, StopL
+from hil_mock_robot.ur.motion import (
+    Leg,
+    MoveJ,
+    MoveJPose,
+    MoveL,
+    MovePath,
+    ServoJ,
+    SpeedJ,
+    SpeedL,
+    StopJoints,
+    StopL,
+)
+from hil_mock_robot.ur.routes import JOINT_LIMITS, SINGULARITY, SUDDEN_CHANGE, MotionImpossible
 
 ARM = load_arm("ur5")
 TCP = np.array([0.02, -0.01, 0.1, 0.1, 0.2, -0.3])

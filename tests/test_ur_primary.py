@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from ur_machine import Wire, machine_of, pass_time
 
-from hil_mock_robot.ur.mode_codes import RobotMode, SafetyMode
-from hil_mock_robot.ur.pendant import IdleProgram
+from hil_mock_robot.ur.dashboard import IdleProgram
+from hil_mock_robot.ur.modes import RobotMode, SafetyMode
 from hil_mock_robot.ur.primary import MOST_PENDING, PrimaryService
 from hil_mock_robot.ur.realtime import RealtimeService
 

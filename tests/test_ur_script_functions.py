@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 from test_ur_scripts import Station, bracketed, program
 from ur_control_parts import HOME
 
-from hil_mock_robot.ur.moving import pose_at
+from hil_mock_robot.ur.program import pose_at
 
 A, B = [0.4, -0.2, 0.4, -1.1, 0.8, -0.3], [-0.01, -0.5, 0.002, -0.5, 1.5, -0.3]
 

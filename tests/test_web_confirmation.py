@@ -18,7 +18,7 @@ from hil.core.errors import NotConfirmed, RobotConnectionError
 from hil.dashboard import motions, plan_process, plan_shown, start_pages
 from hil.robot import Address
 from hil.workflow.confirmation import Granted
-from hil_mock_robot.driver import MockRobot
+from hil_mock_robot.embedded.robot import MockRobot
 
 SPEC = """
 hil: 1

@@ -26,7 +26,7 @@ from hil.dashboard import motions, plan_process, resume_pages
 from hil.robot import Address
 from hil.workflow.confirmation import Granted
 from hil.workflow.starting import started_runs
-from hil_mock_robot.driver import MockRobot
+from hil_mock_robot.embedded.robot import MockRobot
 
 
 class Form:

@@ -22,9 +22,9 @@ from hil.data import Conditions, Dataset
 from hil.dynamics import load_model
 from hil.estimators import estimator
 from hil.spec.station import StationRobot
-from hil_mock_robot.draw import draw_truth
-from hil_mock_robot.sensors import Sensors
-from hil_mock_robot.simulation import Setting, Simulation
+from hil_mock_robot.plant.sensors import Sensors
+from hil_mock_robot.plant.simulation import Setting, Simulation
+from hil_mock_robot.plant.truth import draw_truth
 
 SEED = 5
 PERIOD_S = 1.5

@@ -9,8 +9,7 @@ from hil_mock_robot.ur.app import machine_of, pacer_of
 from hil_mock_robot.ur.loop import Loop
 from hil_mock_robot.ur.options import parser_of
 from hil_mock_robot.ur.rtde import RtdeService
-from hil_mock_robot.ur.series import series_of
-from hil_mock_robot.ur.variables import WIRE
+from hil_mock_robot.ur.variables import WIRE, series_of
 from hil_mock_robot.ur.wire import Level
 
 

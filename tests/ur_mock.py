@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from hil_mock_robot.journal import read_journal
+from hil_mock_robot.server.journal import read_journal
 
 SIDE_PORT = 30100
 READY_WITHIN_S = 60.0

@@ -21,7 +21,7 @@ from hil.spec.weigh import Weigh
 from hil.workflow.scales import gains_of, reading_of
 from hil.workflow.weighed_before import Readings
 from hil.workflow.weighing import Weighing
-from hil_mock_robot.driver import MockRobot
+from hil_mock_robot.embedded.robot import MockRobot
 
 UPRIGHT = (0.0, 0.0, -9.81)
 CYLINDER = {"mass_kg": 3, "com_m": [0, 0, 0.05], "inertia_kgm2": [4e-3, 4e-3, 2e-3, 0, 0, 0]}

@@ -19,8 +19,8 @@ from hil.arms.payload import Payload
 from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.estimators.base import RobotEstimator
-from hil_mock_robot.plant import Plant, build_plant
-from hil_mock_robot.truth import Truth
+from hil_mock_robot.plant.model import Plant, build_plant
+from hil_mock_robot.plant.truth import Truth
 
 EVERY = 8
 """Of the judged rows, recorded at 1 kHz: 125 per second are compared."""

@@ -22,9 +22,8 @@ from hil.core.executor import processes
 from hil.core.typing import FloatArray, IntArray
 from hil.dynamics import load_model
 from hil.estimators.rigid_linear import Covariance, RigidLeastSquares
-from hil_mock_robot.draw import draw_truth
-from hil_mock_robot.simulation import Setting, Simulation
-from hil_mock_robot.truth import Profile
+from hil_mock_robot.plant.simulation import Setting, Simulation
+from hil_mock_robot.plant.truth import Profile, draw_truth
 
 TRAJECTORIES, RATE_HZ, SUBSTEP_HZ = 8, 1000.0, 8000.0
 """Integration steps of the mock's usual 1 ms would be seen: half a step is half a millisecond."""

@@ -27,8 +27,8 @@ from hil.dynamics import RobotModel, load_model
 from hil.estimators.base import RobotEstimator
 from hil.studies.dynamic_data import Parts, Trajectories, honest_parts, trajectories_of
 from hil.studies.dynamic_methods import METHODS, missing, score, unfitted
-from hil_mock_robot.draw import draw_truth
-from hil_mock_robot.simulation import Setting, Simulation
+from hil_mock_robot.plant.simulation import Setting, Simulation
+from hil_mock_robot.plant.truth import draw_truth
 
 TRAJECTORIES, QUICK_TRAJECTORIES, RATE_HZ = 12, 6, 1000.0
 CUTOFF_HZ, FIT_HZ, SIGN_WIDTH = 50.0, 125.0, 0.01

@@ -12,9 +12,9 @@ from hil.arms import load_arm
 from hil.core.typing import FloatArray
 from hil.data.dataset import Conditions, Dataset
 from hil.excitation.motion import FourierSeries, Line, Motion
-from hil_mock_robot.sensors import Sensors
-from hil_mock_robot.simulation import Simulation
-from hil_mock_robot.truth import Truth
+from hil_mock_robot.plant.sensors import Sensors
+from hil_mock_robot.plant.simulation import Simulation
+from hil_mock_robot.plant.truth import Truth
 
 HARMONICS, FUNDAMENTAL_HZ = 5, 0.1
 AMPLITUDE_RAD, VELOCITY_RAD_S, ACCELERATION_RAD_S2 = 1.0, 1.7, 5.0

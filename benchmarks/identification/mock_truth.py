@@ -13,7 +13,7 @@ from hil.arms import load_arm
 from hil.core.typing import FloatArray
 from hil.dynamics import BaseParameters
 from hil.dynamics.inertial import body_parameters
-from hil_mock_robot.truth import LinkTruth, Truth
+from hil_mock_robot.plant.truth import LinkTruth, Truth
 
 
 def true_parameters(truth: Truth) -> FloatArray:

@@ -33,7 +33,7 @@ from hil.studies.inverse_fits import fitted_family
 from hil.studies.inverse_methods import ONE_TO_SIX, ROWS, unfitted
 from hil.studies.inverse_score import Judged, judged, nothing
 from hil.studies.separation_tasks import Task
-from hil_mock_robot.draw import draw_truth
+from hil_mock_robot.plant.truth import draw_truth
 
 ARM = "ur5"
 PROPOSED, CORRECTED, OURS, PRODUCT = "proposed", "rc-grouped", "ours", "ours-residual"

@@ -12,16 +12,14 @@ from collections.abc import Sequence
 from hil.arms import load_arm
 from hil.core import RecordingError
 from hil_mock_robot.cia402.assembly import Mock
-from hil_mock_robot.cia402.bus import end_of
-from hil_mock_robot.cia402.dictionary import registers_of
-from hil_mock_robot.cia402.eds import eds_of, object_dictionary
-from hil_mock_robot.cia402.ends import HOSTED, BusEnd, side_path
+from hil_mock_robot.cia402.bus import HOSTED, BusEnd, end_of, side_path
+from hil_mock_robot.cia402.dictionary import eds_of, object_dictionary, registers_of
 from hil_mock_robot.cia402.faults import read_faults
 from hil_mock_robot.cia402.options import NO_SIDE, OWN_COMMAND, mounted_in, parser_of
 from hil_mock_robot.cia402.telling import MAIN_KEYS, tell
-from hil_mock_robot.command_line import exit_code_of
-from hil_mock_robot.draw import draw_truth
-from hil_mock_robot.side_requests import request_of
+from hil_mock_robot.plant.truth import draw_truth
+from hil_mock_robot.server.options import exit_code_of
+from hil_mock_robot.server.side_channel import request_of
 
 
 def main(arguments: Sequence[str] | None = None, *, prog: str = OWN_COMMAND, seed: int = 1) -> int:

@@ -8,18 +8,16 @@ from pathlib import Path
 
 from hil.arms import Payload, load_arm
 from hil_mock_robot.cia402.body import Body
-from hil_mock_robot.cia402.clock import PATIENCE_S, DeviceClock
-from hil_mock_robot.cia402.ends import BusEnd
+from hil_mock_robot.cia402.bus import BusEnd
 from hil_mock_robot.cia402.faults import Fault
 from hil_mock_robot.cia402.loop import Loop
-from hil_mock_robot.cia402.motion import MotionWatch
 from hil_mock_robot.cia402.options import MASTER_ID, nodes_of, pose_of
 from hil_mock_robot.cia402.side import Requests, SideChannel
-from hil_mock_robot.cia402.station import Station
+from hil_mock_robot.cia402.station import PATIENCE_S, DeviceClock, MotionWatch, Station
 from hil_mock_robot.cia402.troubles import Troubles
 from hil_mock_robot.cia402.witness import Witness
-from hil_mock_robot.journal import Journal
-from hil_mock_robot.truth import Truth
+from hil_mock_robot.plant.truth import Truth
+from hil_mock_robot.server.journal import Journal
 
 
 class Mock:

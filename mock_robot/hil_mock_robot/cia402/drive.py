@@ -1,8 +1,9 @@
-"""One axis: controlword and set-points in, demands on its motor and what it measures out.
+"""One drive: controlword and set-points in, demands on its motor and what it measures out.
 
-A drive lives on its registers (`contracts.Registers`) and has no bus. The loop's order within one
-SYNC is: RPDOs into the registers and TPDOs out of them (the node), then `Drive.advance` of all
-drives, one `Body.advance`, then `Drive.measured` of all drives.
+A drive lives on its registers (`contracts.Registers`) and has no bus. The order within one SYNC is:
+RPDOs into the registers and TPDOs out of them (the node), then `Drive.advance` of all drives, one
+`Body.advance`, then `Drive.measured` of all drives. `Watch` and `SyncWatch` are what an enabled
+drive monitors on its own: following error, speed, temperature, and a SYNC that stays away.
 """
 
 from __future__ import annotations
@@ -10,19 +11,21 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from hil_mock_robot.cia402 import keys
-from hil_mock_robot.cia402.axis import SCALING, Axis, Joint, joints_of
-from hil_mock_robot.cia402.connection import Connection
+from hil_mock_robot.cia402.axis import SCALING, Axis, Joint, write_readings
 from hil_mock_robot.cia402.contracts import STEP_S, Demand, Measured, Registers
-from hil_mock_robot.cia402.errors import bits_of
-from hil_mock_robot.cia402.operation import Operation
-from hil_mock_robot.cia402.power import PowerStage
-from hil_mock_robot.cia402.readings import write_readings
-from hil_mock_robot.cia402.states import FAULTED, INTERNAL_LIMIT, State
-from hil_mock_robot.cia402.stopping import AT_REST_RAD_S, slowed
-from hil_mock_robot.cia402.sync_watch import SyncWatch
-from hil_mock_robot.cia402.watch import TOO_FAR, Watch
-
-__all__ = ["Drive", "Emergency", "Joint", "joints_of"]
+from hil_mock_robot.cia402.modes import Operation
+from hil_mock_robot.cia402.node import bits_of
+from hil_mock_robot.cia402.power import (
+    AT_REST_RAD_S,
+    FAULTED,
+    INTERNAL_LIMIT,
+    MODE_BIT_13,
+    WARNING,
+    Connection,
+    PowerStage,
+    State,
+    slowed,
+)
 
 Emergency = Callable[[int, int], None]
 """Told an EMCY code (0: no error any more) and the bits of 1001h that belong to it."""
@@ -30,6 +33,7 @@ Emergency = Callable[[int, int], None]
 SYNC_LOST = 0x8700
 RHYTHM = (keys.INTERPOLATION_VALUE, keys.INTERPOLATION_INDEX)
 ENABLED = State.OPERATION_ENABLED
+TOO_HOT, TOO_FAST, TOO_FAR = 0x4310, 0x8400, 0x8611
 
 
 class Drive:
@@ -205,3 +209,106 @@ class Drive:
             bits = self.operation.told
         told = power.told | self._watch.told | bits
         self.registers[keys.STATUSWORD] = told | INTERNAL_LIMIT * self._limited
+
+
+WARM_C, HOT_C = 80.0, 110.0
+
+OVERSPEED = 1.3
+"""Of the joint's highest speed."""
+
+NO_WINDOW = 0xFFFF_FFFF
+LEAST_SLIP_RAD, MOST_SLIP = 0.2, 1 << 30
+
+
+class Watch:
+    """The watch on one axis.
+
+    Attributes:
+        too_far: The following error is outside its window (bit 13), or was when it tripped.
+        warns: The motor is warm (bit 7).
+        hot: It is too hot.
+    """
+
+    def __init__(self, axis: Axis) -> None:
+        self._axis = axis
+        self.too_far = self.warns = self.hot = False
+        self._away = 0
+
+    @property
+    def told(self) -> int:
+        """Bits 7 and 13 of the statusword."""
+        return WARNING * self.warns | MODE_BIT_13 * self.too_far
+
+    def reset(self) -> None:
+        """Forget what was."""
+        self.too_far, self._away = False, 0
+
+    def slip(self) -> None:
+        """The set-point jumps out of the window around the joint (injected)."""
+        axis = self._axis
+        window, least = axis.registers[keys.FOLLOWING_ERROR_WINDOW], LEAST_SLIP_RAD * axis.counts
+        far = 0 if window == NO_WINDOW else min(2 * window, MOST_SLIP)
+        axis.slipped = max(round(abs(least)), far)
+        self.too_far = True
+
+    def feel(self, celsius: float) -> None:
+        """The motor is so warm [°C], whether it has power or not."""
+        self.warns, self.hot = celsius >= WARM_C, celsius >= HOT_C
+
+    def look(self, error: int, measured: Measured, steps: int) -> int:
+        """EMCY code of what is wrong with an axis that has power, or 0.
+
+        Args:
+            error: Following error [increments]; 0 where it does not matter.
+            measured: After the last steps.
+            steps: How many they were.
+        """
+        if self.hot:
+            return TOO_HOT
+        if abs(measured.qd) > OVERSPEED * self._axis.joint.qd_max:
+            return TOO_FAST
+        return self._following(error, steps)
+
+    def _following(self, error: int, steps: int) -> int:
+        objects = self._axis.registers
+        window = objects[keys.FOLLOWING_ERROR_WINDOW]
+        self.too_far = abs(error) > window != NO_WINDOW
+        if not self.too_far:
+            self._away = 0
+            return 0
+        self._away += steps
+        return TOO_FAR if self._away > objects[keys.FOLLOWING_ERROR_TIMEOUT] else 0
+
+
+SYNC_LOST_STEPS = 100
+"""Device time without SYNC that a cyclic mode survives."""
+
+
+class SyncWatch:
+    """Counts the steps without SYNC, and sees whether the set-point leaves its path meanwhile."""
+
+    def __init__(self, axis: Axis) -> None:
+        self._axis = axis
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what was."""
+        self._unsynced, self._strayed = 0, False
+
+    def look(self, steps: int, *, synced: bool, cyclic: bool) -> bool:
+        """Whether it is an error: SYNC stays away too long, or is back after the set-point left.
+
+        It would jump onto its path again; as it is, it comes to rest along a ramp.
+
+        Args:
+            steps: That begin now.
+            synced: A SYNC begins them.
+            cyclic: The axis is enabled in a mode that needs SYNC.
+        """
+        self._unsynced = 0 if synced else self._unsynced + steps
+        error = cyclic and (self._strayed if synced else self._unsynced > SYNC_LOST_STEPS)
+        if synced or not cyclic:
+            self._strayed = False
+        elif abs(self._axis.demand_qd) > AT_REST_RAD_S:
+            self._strayed = self._strayed or self._unsynced > self._axis.period_steps
+        return error

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from hil_mock_robot.fault_list import COUNT, FaultList, Number
+from hil_mock_robot.server.faults import COUNT, FaultList, Number
 
 KINDS: dict[str, tuple[str, ...]] = {
     "emergency": ("axis", "code"),

@@ -9,8 +9,7 @@ from typing import Any, TypeVar
 
 from hil_mock_robot.cia402.assembly import Mock
 from hil_mock_robot.cia402.bus import end_of
-from hil_mock_robot.draw import draw_truth
-from hil_mock_robot.truth import Profile
+from hil_mock_robot.plant.truth import Profile, draw_truth
 
 T = TypeVar("T")
 ANSWER_S = 30.0

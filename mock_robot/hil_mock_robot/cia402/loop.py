@@ -8,12 +8,12 @@ import time
 from collections import deque
 from collections.abc import Callable
 
+from hil_mock_robot.cia402.bus import BusEnd
 from hil_mock_robot.cia402.contracts import STEP_S
-from hil_mock_robot.cia402.ends import BusEnd
 from hil_mock_robot.cia402.side import SideChannel
 from hil_mock_robot.cia402.station import Station
 from hil_mock_robot.cia402.witness import Witness
-from hil_mock_robot.mishaps import Mishaps
+from hil_mock_robot.server.loop import Mishaps
 
 OWN_STEPS = 10
 """Steps that the drives' own timer makes at once."""

@@ -1,4 +1,9 @@
-"""Modes of operation; here those with a new set-point at every SYNC: CSP, CSV, CST (8 to 10)."""
+"""Modes of operation: what an enabled axis does with its set-points.
+
+`Operation` is the mode of one drive: what a master wants (6060h) and what it gets (6061h). CSP, CSV
+and CST (8 to 10) take a new set-point at every SYNC; profile position (1) and homing (6) make their
+own motion, for tools without SYNC.
+"""
 
 from __future__ import annotations
 
@@ -7,14 +12,20 @@ from collections.abc import Callable
 from typing import Protocol
 
 from hil_mock_robot.cia402 import keys
-from hil_mock_robot.cia402.axis import Axis
+from hil_mock_robot.cia402.axis import Axis, Between, Ramp, Trapezoid, held
 from hil_mock_robot.cia402.contracts import STEP_S, Demand
-from hil_mock_robot.cia402.paths import Between, Ramp, held
-from hil_mock_robot.cia402.profile_modes import Homing, ProfilePosition
-from hil_mock_robot.cia402.states import MODE_BIT_12
-from hil_mock_robot.cia402.stopping import slowed
+from hil_mock_robot.cia402.power import (
+    AT_ONCE_BIT,
+    MODE_BIT_12,
+    MODE_BIT_13,
+    NEW_SETPOINT_BIT,
+    RELATIVE_BIT,
+    TARGET_REACHED,
+    slowed,
+)
 
 PP, HM, CSP, CSV, CST = 1, 6, 8, 9, 10
+
 CYCLIC = frozenset({CSP, CSV, CST})
 """Modes that need SYNC."""
 
@@ -23,6 +34,80 @@ FOLLOWING = frozenset({PP, CSP})
 
 MODE_BITS = {PP: 0, HM: 5, CSP: 7, CSV: 8, CST: 9}
 """Of the modes that are built, their bits in 6502h."""
+
+
+class Operation:
+    """What an axis does while it is enabled.
+
+    Args:
+        axis: Whose.
+
+    Attributes:
+        refused: Modes (6060h) that 6061h does not follow though 6502h has them (injected).
+        deaf: It ignores its set-points, and says so by bit 12 (injected).
+    """
+
+    def __init__(self, axis: Axis) -> None:
+        self._axis = axis
+        self.refused: set[int] = set()
+        self.deaf = False
+        self.reset()
+
+    def reset(self) -> None:
+        """No mode."""
+        self._shown = self._axis.registers[keys.MODE_DISPLAY] = 0
+        self._mode: Mode = mode_of(0, self._axis)
+
+    @property
+    def cyclic(self) -> bool:
+        """Whether the mode needs SYNC."""
+        return self._shown in CYCLIC
+
+    @property
+    def follows(self) -> bool:
+        """Whether the following error is watched."""
+        return self._shown in FOLLOWING
+
+    @property
+    def led_by_torque(self) -> bool:
+        """Whether the joint goes where its torque leads."""
+        return self._shown == CST
+
+    @property
+    def told(self) -> int:
+        """Bits 10, 12 and 13 of the statusword while the axis is enabled."""
+        return self._mode.bits & ~(MODE_BIT_12 * self.deaf)
+
+    def begin(self) -> None:
+        """The axis is enabled: from where its set-point is now."""
+        self._mode = mode_of(self._shown, self._axis)
+
+    def resume(self) -> None:
+        """A halt is over."""
+        self._mode.resume()
+
+    def listen(self) -> None:
+        """A controlword has come."""
+        self._mode.listen(self.deaf)
+
+    def follow(self, *, enabled: bool) -> None:
+        """Be in the mode that is wanted, if it can be; at once where the axis is enabled."""
+        wanted = self._axis.registers[keys.MODE]
+        if wanted != self._shown and self._takes(wanted):
+            self._shown = self._axis.registers[keys.MODE_DISPLAY] = wanted
+            if enabled:
+                self.begin()
+
+    def advance(self, steps: int, synced: bool) -> Demand:
+        """See `Mode`."""
+        return self._mode.advance(steps, synced, self.deaf)
+
+    def _takes(self, mode: int) -> bool:
+        """Whether the mode is built, supported by 6502h, and not refused."""
+        if mode not in MODE_BITS or mode in self.refused:
+            return False
+        return bool(self._axis.registers[keys.SUPPORTED_MODES] >> MODE_BITS[mode] & 1)
+
 
 EXTRAPOLATED = 2
 """Targets in a row that an axis does without."""
@@ -174,6 +259,129 @@ class CyclicTorque(Mode):
             self._torque = cut / axis.torque_counts
         axis.demand_q, axis.demand_qd = axis.q, axis.qd
         return Demand(held(axis.q, steps), self._torque, False, 0.0, axis.torque_limit)
+
+
+MILLISECOND_STEPS = round(0.001 / STEP_S)
+
+
+class ProfilePosition:
+    """PP: to 607Ah along a trapezoid (6081h, 6083h, 6084h) when bit 4 of the controlword rises.
+
+    Bit 5 drops the present target for the new one, else one target waits for the present one to
+    be reached; bit 6 makes it relative to the last target. Bit 12 of the statusword acknowledges.
+    """
+
+    def __init__(self, axis: Axis) -> None:
+        self._axis = axis
+        self._path = Trapezoid(axis.demand_q, axis.demand_qd, axis.demand_q, self._limits())
+        self._raw = axis.raw_position(axis.demand_q)
+        self._waiting: int | None = None
+        self._asked = bool(axis.registers[keys.CONTROLWORD] & NEW_SETPOINT_BIT)
+        self._acknowledged = False
+        self._inside = 0
+
+    @property
+    def bits(self) -> int:
+        """See `Mode`: set-point acknowledge, target reached."""
+        settled = self._axis.registers[keys.POSITION_WINDOW_TIME] * MILLISECOND_STEPS
+        reached = self._path.done and self._waiting is None and self._inside >= settled
+        return MODE_BIT_12 * self._acknowledged | TARGET_REACHED * reached
+
+    def resume(self) -> None:
+        """See `Mode`: on to the same target."""
+        self._path.q, self._path.qd = self._axis.demand_q, self._axis.demand_qd
+
+    def advance(self, steps: int, synced: bool, deaf: bool) -> Demand:
+        """See `Mode`."""
+        axis, path = self._axis, self._path
+        self.listen(deaf)
+        if path.done and self._waiting is not None:
+            self._go(self._waiting)
+            self._waiting = None
+        path.limits = self._limits()
+        rows = path.advance(steps)
+        axis.demand_q, axis.demand_qd = path.q, path.qd
+        self._settle(steps)
+        return Demand(rows, math.nan, False, 0.0, axis.torque_limit)
+
+    def listen(self, deaf: bool) -> None:
+        """See `Mode`."""
+        word = self._axis.registers[keys.CONTROLWORD]
+        asked = bool(word & NEW_SETPOINT_BIT)
+        if asked and not self._asked and not deaf and self._waiting is None:
+            raw = self._axis.registers[keys.TARGET_POSITION]
+            raw += self._raw if word & RELATIVE_BIT else 0
+            self._acknowledged = True
+            if self._path.done or word & AT_ONCE_BIT:
+                self._go(raw)
+            else:
+                self._waiting = raw
+        elif not asked:
+            self._acknowledged = self._waiting is not None
+        self._asked = asked
+
+    def _go(self, raw: int) -> None:
+        self._raw, self._inside = raw, 0
+        self._path.target = self._axis.target(raw)
+
+    def _settle(self, steps: int) -> None:
+        """Count how long the joint has been in the position window (6067h)."""
+        axis = self._axis
+        away = abs(axis.q - self._path.target) * abs(axis.counts)
+        inside = away <= axis.registers[keys.POSITION_WINDOW]
+        self._inside = self._inside + steps if inside else 0
+
+    def _limits(self) -> tuple[float, float, float]:
+        """Speed, acceleration, deceleration at the joint; what is 0 is what it can do."""
+        axis, objects = self._axis, self._axis.registers
+        counts, joint = abs(axis.counts), self._axis.joint
+        speed = min(objects[keys.PROFILE_VELOCITY], objects[keys.MAX_PROFILE_VELOCITY])
+        return (
+            min(speed / counts, joint.qd_max) or joint.qd_max,
+            objects[keys.PROFILE_ACCELERATION] / counts or joint.qdd_max,
+            objects[keys.PROFILE_DECELERATION] / counts or joint.qdd_max,
+        )
+
+
+HERE_IS_HOME = (35, 37)
+"""Homing methods (6098h) that do not move."""
+
+
+class Homing:
+    """HM: when bit 4 of the controlword rises, the present position becomes 607Ch.
+
+    Only methods that do not move (35, 37); any other one ends in a homing error (bit 13).
+    """
+
+    def __init__(self, axis: Axis) -> None:
+        self._axis = axis
+        self._asked = bool(axis.registers[keys.CONTROLWORD] & NEW_SETPOINT_BIT)
+        self.bits = TARGET_REACHED
+
+    def resume(self) -> None:
+        """See `Mode`."""
+
+    def advance(self, steps: int, synced: bool, deaf: bool) -> Demand:
+        """See `Mode`."""
+        self.listen(deaf)
+        axis = self._axis
+        axis.demand_qd = 0.0
+        return Demand(held(axis.demand_q, steps), math.nan, False, 0.0, axis.torque_limit)
+
+    def listen(self, deaf: bool) -> None:
+        """See `Mode`."""
+        asked = bool(self._axis.registers[keys.CONTROLWORD] & NEW_SETPOINT_BIT)
+        if asked and not self._asked and not deaf:
+            self._start()
+        self._asked = asked
+
+    def _start(self) -> None:
+        axis, objects = self._axis, self._axis.registers
+        if objects[keys.HOMING_METHOD] not in HERE_IS_HOME:
+            self.bits = TARGET_REACHED | MODE_BIT_13
+            return
+        axis.shift += objects[keys.HOME_OFFSET] - axis.raw_position(axis.q)
+        self.bits = TARGET_REACHED | MODE_BIT_12
 
 
 _MODES: dict[int, Callable[[Axis], Mode]] = {

@@ -1,33 +1,67 @@
-"""One drive as a CANopen node: SDO, NMT, EMCY, heartbeat and PDOs on its live registers."""
+"""One drive as a CANopen node on its live registers: SDO, NMT, EMCY, heartbeat and PDOs.
+
+`MockNode` takes frames and the device's time and tells the drive behind it by `Hooks`. It is built
+on `canopen.LocalNode` without that library's threads and clocks: `DeviceNetwork` takes the place
+of its bus, `NmtSlave` knows the resets, `Producer` and `Consumer` count heartbeats in device time.
+"""
 
 from __future__ import annotations
 
-import canopen
+import struct
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any, Never
 
-from hil_mock_robot.cia402 import access, errors, heartbeat, keys, pdo_rules
-from hil_mock_robot.cia402.aborts import DEVICE_STATE, require
-from hil_mock_robot.cia402.cob_ids import CAN_ID, valid
+import canopen
+from canopen import nmt
+from canopen.network import Network
+
+from hil_mock_robot.cia402 import keys, sdo
 from hil_mock_robot.cia402.contracts import Registers, Send, key
-from hil_mock_robot.cia402.dictionary import by_key
-from hil_mock_robot.cia402.eds import eds_of, object_dictionary
-from hil_mock_robot.cia402.exchange import TIMED_OUT, TOO_LONG, TOO_SHORT, Exchange
-from hil_mock_robot.cia402.hooks import Hooks
-from hil_mock_robot.cia402.network import DeviceNetwork
-from hil_mock_robot.cia402.nmt import NmtSlave, State
-from hil_mock_robot.cia402.objects import Object
-from hil_mock_robot.cia402.sdo import SdoServer
+from hil_mock_robot.cia402.dictionary import (
+    HISTORY,
+    N_CONSUMED,
+    Object,
+    by_key,
+    eds_of,
+    object_dictionary,
+)
+from hil_mock_robot.cia402.pdo import TIMED_OUT, TOO_LONG, TOO_SHORT, Exchange
+from hil_mock_robot.cia402.sdo import (
+    CAN_ID,
+    CONSUMERS,
+    DEVICE_STATE,
+    SdoServer,
+    cob_id_is_valid,
+    require,
+    watched,
+)
 
 HEARTBEAT = 0x700
 HEARTBEAT_LOST, BUS_OFF = 0x8130, 0x8140
 SDO_BYTES = 8
-BOOT_UP = bytes([State.INITIALISING])
-TALKING = (State.PRE_OPERATIONAL, State.OPERATIONAL)
+
+
+class NmtState(IntEnum):
+    """As it is in a heartbeat."""
+
+    INITIALISING = 0
+    STOPPED = 4
+    OPERATIONAL = 5
+    PRE_OPERATIONAL = 127
+
+
+BOOT_UP = bytes([NmtState.INITIALISING])
+
+TALKING = (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL)
 """States with SDO and EMCY."""
 
-REACTIONS = {0: State.PRE_OPERATIONAL, 2: State.STOPPED}
+REACTIONS = {0: NmtState.PRE_OPERATIONAL, 2: NmtState.STOPPED}
 """What 1029h:1 says to become when communication fails while operational."""
 
-_ERROR_STATE = (0x1001, errors.FIELD, 0x603F)
+FIELD = 0x1003
+_ERROR_STATE = (0x1001, FIELD, 0x603F)
 _DRIVE_FAULT, _FAULT_MASK = 0x08, 0x4F
 
 
@@ -63,10 +97,10 @@ class MockNode(canopen.LocalNode):
         self._booted_s: float | None = None
         self._eds = b""
         self.nmt = self._nmt = NmtSlave(node_id, self._nmt_changed, self._reset)
-        self.errors = errors.Errors(registers, self._send_emergency)
+        self.errors = Errors(registers, self._send_emergency)
         self._exchange = Exchange(registers, send, lambda: self.hooks.applied())
-        self._producer = heartbeat.Producer(registers)
-        self._consumer = heartbeat.Consumer(registers)
+        self._producer = Producer(registers)
+        self._consumer = Consumer(registers)
         self.sdo = SdoServer(self, node_id)
         self._bus = DeviceNetwork(send)
         self.associate_network(self._bus)
@@ -81,10 +115,10 @@ class MockNode(canopen.LocalNode):
     def heard(self, can_id: int, data: bytes) -> None:
         """A frame was on the bus (not one of its own); SYNC comes separately."""
         state = self._nmt.code
-        if state is State.INITIALISING:
+        if state is NmtState.INITIALISING:
             return
         if self._exchange.receives(can_id):
-            if state is State.OPERATIONAL:
+            if state is NmtState.OPERATIONAL:
                 self._heard_rpdo(can_id, data)
         elif can_id > HEARTBEAT:
             self._heard_heartbeat(can_id - HEARTBEAT)
@@ -93,19 +127,19 @@ class MockNode(canopen.LocalNode):
 
     def synced(self) -> None:
         """A SYNC was on the bus: RPDOs that came before it are applied, TPDOs are sent."""
-        if self._nmt.code is State.OPERATIONAL:
+        if self._nmt.code is NmtState.OPERATIONAL:
             self._exchange.synced()
 
     def ticked(self, device_s: float) -> None:
         """Time has passed: heartbeats, event timers, consumers' watch."""
         self._now_s = device_s
-        if self._nmt.code is State.INITIALISING:
+        if self._nmt.code is NmtState.INITIALISING:
             if self._booted_s is not None and device_s >= self._booted_s:
                 self._booted()
             return
         for _ in self._consumer.overdue(device_s):
             self._lost_connection(HEARTBEAT_LOST)
-        if self._nmt.code is State.OPERATIONAL and self._exchange.ticked(device_s):
+        if self._nmt.code is NmtState.OPERATIONAL and self._exchange.ticked(device_s):
             self._lost_connection(TIMED_OUT)
         if self._producer.due(device_s):
             self._send(HEARTBEAT + self.node_id, bytes([self._nmt.code]))
@@ -142,33 +176,33 @@ class MockNode(canopen.LocalNode):
 
     def get_data(self, index: int, subindex: int, check_readable: bool = False) -> bytes:
         """An object's data; the SDO server's way in."""
-        entry = access.entry_of(index, subindex)
+        entry = sdo.entry_of(index, subindex)
         if entry.type == "domain":
             self._eds = self._eds or eds_of(self.object_dictionary)
             return self._eds
-        return access.read(self.registers, entry, by_client=check_readable)
+        return sdo.read_object(self.registers, entry, by_client=check_readable)
 
     def set_data(
         self, index: int, subindex: int, data: bytes, check_writable: bool = False
     ) -> None:
         """Write an object; the SDO server's way in."""
-        entry = access.entry_of(index, subindex)
-        layout = pdo_rules.concerns(index)
-        value = access.decoded(self.registers, entry, bytes(data), by_client=check_writable)
-        require(not layout or self._nmt.code is not State.OPERATIONAL, DEVICE_STATE)
+        entry = sdo.entry_of(index, subindex)
+        layout = sdo.is_pdo_object(index)
+        value = sdo.decoded_value(self.registers, entry, bytes(data), by_client=check_writable)
+        require(not layout or self._nmt.code is not NmtState.OPERATIONAL, DEVICE_STATE)
         self.registers[entry.key] = value
         self._follow(entry, value)
         self.hooks.written(entry.key, value)
 
     def _follow(self, entry: Object, value: int) -> None:
         """What a write means for the node itself."""
-        if pdo_rules.concerns(entry.index):
+        if sdo.is_pdo_object(entry.index):
             self._exchange.configure()
-        elif entry.index == heartbeat.CONSUMERS:
+        elif entry.index == sdo.CONSUMERS:
             self._consumer.configure()
         elif entry.key == keys.PRODUCER_HEARTBEAT:
             self._producer.restart(self._now_s)
-        elif entry.index == errors.FIELD:
+        elif entry.index == FIELD:
             self.errors.clear_history()
         elif entry.key == keys.TARGET_POSITION:
             self._exchange.lead_by_hand()
@@ -178,7 +212,7 @@ class MockNode(canopen.LocalNode):
     def _booted(self) -> None:
         self._booted_s = None
         self._send(HEARTBEAT + self.node_id, BOOT_UP)
-        self._nmt.enter(State.PRE_OPERATIONAL)
+        self._nmt.enter(NmtState.PRE_OPERATIONAL)
         self._producer.restart(self._now_s + self.registers[keys.PRODUCER_HEARTBEAT] / 1000)
 
     def _reset(self, application: bool) -> None:
@@ -195,8 +229,8 @@ class MockNode(canopen.LocalNode):
         self.hooks.booted(application)
         self.boot()
 
-    def _nmt_changed(self, state: State) -> None:
-        if state is State.OPERATIONAL:
+    def _nmt_changed(self, state: NmtState) -> None:
+        if state is NmtState.OPERATIONAL:
             self._exchange.restart()
         self.hooks.nmt_changed(state)
 
@@ -220,10 +254,304 @@ class MockNode(canopen.LocalNode):
     def _react(self, code: int) -> None:
         self.hooks.connection_lost(code)
         reaction = REACTIONS.get(self.registers[keys.COMMUNICATION_ERROR_REACTION])
-        if reaction is not None and self._nmt.code is State.OPERATIONAL:
+        if reaction is not None and self._nmt.code is NmtState.OPERATIONAL:
             self._nmt.enter(reaction)
 
     def _send_emergency(self, message: bytes) -> None:
-        cob_id = self.registers[key(access.EMERGENCY_COB_ID)]
-        if self._nmt.code in TALKING and valid(cob_id):
+        cob_id = self.registers[key(sdo.EMERGENCY_COB_ID)]
+        if self._nmt.code in TALKING and cob_id_is_valid(cob_id):
             self._send(cob_id & CAN_ID, message)
+
+
+def _nothing(*_: object) -> None:
+    """Nobody listens."""
+
+
+@dataclass(slots=True)
+class Hooks:
+    """Set by who drives the node; each is called from within `heard`, `synced` or `ticked`.
+
+    Attributes:
+        applied: RPDOs have been written into the registers: controlword, set-points.
+        written: An SDO client has written an object: its key and new raw value.
+        resetting: The node is about to start anew, with all as it was; whether its application
+            starts anew, too (reset node).
+        nmt_changed: The new NMT state (`nmt.State`).
+        booted: The node has started anew; whether its application has, too (reset node).
+        connection_lost: Error code (8130h, 8140h, 8250h): what 6007h is the reaction to.
+    """
+
+    applied: Callable[[], None] = _nothing
+    written: Callable[[int, int], None] = _nothing
+    resetting: Callable[[bool], None] = _nothing
+    nmt_changed: Callable[[int], None] = _nothing
+    booted: Callable[[bool], None] = _nothing
+    connection_lost: Callable[[int], None] = _nothing
+
+
+START, STOP, ENTER_PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
+"""Commands."""
+
+TARGETS = {
+    START: NmtState.OPERATIONAL,
+    STOP: NmtState.STOPPED,
+    ENTER_PRE_OPERATIONAL: NmtState.PRE_OPERATIONAL,
+}
+
+ALL_NODES = 0
+_STATES = {int(state): state for state in NmtState}
+
+
+class NmtSlave(nmt.NmtSlave):
+    """The state machine alone; what follows from it is told to who owns it.
+
+    In place of `canopen`'s own, which knows neither resets nor a clock of the device's. The state
+    by name, and set by name, is the library's property `state`.
+
+    Args:
+        node_id: Which commands are for it.
+        changed: Called with a new state.
+        reset: Called when the node has to start anew; True where its application has, too.
+    """
+
+    def __init__(
+        self, node_id: int, changed: Callable[[NmtState], None], reset: Callable[[bool], None]
+    ) -> None:
+        super().__init__(node_id, None)
+        self._changed, self._reset = changed, reset
+
+    @property
+    def code(self) -> NmtState:
+        """The state."""
+        return _STATES[self._state]
+
+    def on_command(self, can_id: int, data: bytes, timestamp: float) -> None:
+        """An NMT command was on the bus: command, node."""
+        if len(data) == 2 and data[1] in (ALL_NODES, self.id):
+            self.send_command(data[0])
+
+    def send_command(self, code: int) -> None:
+        """Do as the NMT master says; unknown commands are passed over, and all while booting."""
+        if self.code is NmtState.INITIALISING:
+            return
+        if code in (RESET_NODE, RESET_COMMUNICATION):
+            self._reset(code == RESET_NODE)
+        elif code in TARGETS:
+            self.enter(TARGETS[code])
+
+    def start(self) -> None:
+        """Switched on, or reset: it is initialising."""
+        self._state = int(NmtState.INITIALISING)
+
+    def enter(self, state: NmtState) -> None:
+        """Be in this state from now on."""
+        if state is not self.code:
+            self._state = int(state)
+            self._changed(state)
+
+
+TOLERANCE_S = 1e-9
+
+
+class Producer:
+    """Says when the node's own heartbeat is due.
+
+    Args:
+        registers: Live.
+    """
+
+    def __init__(self, registers: Registers) -> None:
+        self._registers = registers
+        self._next_s = 0.0
+
+    def restart(self, now_s: float) -> None:
+        """The period is new: the first one is due now."""
+        self._next_s = now_s
+
+    def due(self, now_s: float) -> bool:
+        """Whether it has to be sent now; asked once a tick."""
+        period_s = self._registers[keys.PRODUCER_HEARTBEAT] / 1000
+        if not period_s or now_s + TOLERANCE_S < self._next_s:
+            return False
+        self._next_s = max(self._next_s, now_s - period_s) + period_s
+        return True
+
+
+class Consumer:
+    """Watches other nodes' heartbeats, each from its first one on.
+
+    Args:
+        registers: Live.
+    """
+
+    def __init__(self, registers: Registers) -> None:
+        self._registers = registers
+        self._timeouts: dict[int, float] = {}
+        self._heard: dict[int, float] = {}
+        self._lost: set[int] = set()
+
+    def configure(self) -> None:
+        """Read 1016h anew; who is watched is waited for again."""
+        entries = (
+            watched(self._registers[key(CONSUMERS, n)]) for n in range(1, N_CONSUMED + 1)
+        )  # fmt: skip
+        self._timeouts = {node: timeout_s for node, timeout_s in entries if timeout_s}
+        self._heard.clear()
+        self._lost.clear()
+
+    def heard(self, node: int, now_s: float) -> bool:
+        """A heartbeat was on the bus; whether by it the last lost node is back."""
+        if node not in self._timeouts:
+            return False
+        self._heard[node] = now_s
+        if node not in self._lost:
+            return False
+        self._lost.remove(node)
+        return not self._lost
+
+    def overdue(self, now_s: float) -> list[int]:
+        """Nodes that have been lost since it was last asked."""
+        lost = [
+            node
+            for node, heard_s in self._heard.items()
+            if now_s - heard_s > self._timeouts[node] + TOLERANCE_S and node not in self._lost
+        ]
+        self._lost.update(lost)
+        return lost
+
+
+MESSAGE = struct.Struct("<HB5s")
+
+GENERIC, CURRENT, VOLTAGE, TEMPERATURE, COMMUNICATION, PROFILE, MAKER = (
+    1 << bit for bit in (0, 1, 2, 3, 4, 5, 7)
+)
+"""Bits of the error register."""
+
+_COMMUNICATION = (0x81, 0x82)
+
+_GROUPS = {
+    0x2: CURRENT, 0x3: VOLTAGE, 0x4: TEMPERATURE, 0x7: PROFILE, 0x8: PROFILE, 0xF: MAKER,
+}  # fmt: skip
+
+
+def bits_of(code: int) -> int:
+    """What an error sets in the error register (CiA 301); 7xxxh and 83xxh on are CiA 402's."""
+    if code >> 8 in _COMMUNICATION:
+        return GENERIC | COMMUNICATION
+    return GENERIC | _GROUPS.get(code >> 12, 0)
+
+
+class Errors:
+    """What is wrong, and what was.
+
+    Args:
+        registers: Live.
+        send: Puts the eight bytes of an EMCY message on the bus, where that is allowed.
+    """
+
+    def __init__(self, registers: Registers, send: Callable[[bytes], None]) -> None:
+        self._registers, self._send = registers, send
+        self._active: dict[int, int] = {}
+
+    @property
+    def active(self) -> tuple[int, ...]:
+        """Codes of what is wrong, in the order in which it came."""
+        return tuple(self._active)
+
+    def report(self, code: int, register: int | None = None, data: bytes = b"") -> None:
+        """An error has come; one that is there already is not told again.
+
+        Args:
+            code: Error code.
+            register: What it sets in 1001h, by default what its code stands for.
+            data: Up to five bytes of the maker's.
+        """
+        if code in self._active:
+            return
+        self._active[code] = bits_of(code) if register is None else register | GENERIC
+        self._remember(code)
+        self._registers[keys.ERROR_CODE] = code
+        self._tell(code, data)
+
+    def recovered(self, code: int | None = None) -> None:
+        """That error is gone, or all of them are."""
+        if code is None:
+            gone = bool(self._active)
+            self._active.clear()
+        else:
+            gone = self._active.pop(code, None) is not None
+        if gone:
+            self._tell(0, b"")
+
+    def told_late(self, code: int) -> None:
+        """An error that came while nobody could be told: it is there, or it was."""
+        if code in self._active:
+            self._tell(code, b"")
+        else:
+            self.report(code)
+            self.recovered(code)
+
+    def forget(self) -> None:
+        """The node was switched off and on."""
+        self._active.clear()
+        self._registers[keys.ERROR_REGISTER] = self._registers[keys.ERROR_CODE] = 0
+        self.clear_history()
+
+    def clear_history(self) -> None:
+        """Nothing has ever been wrong."""
+        for sub in range(HISTORY + 1):
+            self._registers[key(FIELD, sub)] = 0
+
+    def _remember(self, code: int) -> None:
+        registers = self._registers
+        for sub in range(HISTORY, 1, -1):
+            registers[key(FIELD, sub)] = registers[key(FIELD, sub - 1)]
+        registers[key(FIELD, 1)] = code
+        registers[key(FIELD)] = min(HISTORY, registers[key(FIELD)] + 1)
+
+    def _tell(self, code: int, data: bytes) -> None:
+        register = 0
+        for bits in self._active.values():
+            register |= bits
+        self._registers[keys.ERROR_REGISTER] = register
+        self._send(MESSAGE.pack(code, register, data))
+
+
+Heard = Callable[[int, Any, float], None]
+
+
+class DeviceNetwork(Network):
+    """One node's view of the bus; the owner says what is on it, and takes what is sent.
+
+    Args:
+        send: Puts a frame on the bus.
+    """
+
+    def __init__(self, send: Send) -> None:
+        self._send = send
+        self._listeners: dict[int, list[Heard]] = {}
+        super().__init__()
+
+    def subscribe(self, can_id: int, callback: Heard) -> None:
+        """Call this with every frame of that identifier."""
+        self._listeners.setdefault(can_id, []).append(callback)
+
+    def unsubscribe(self, can_id: int, callback: Heard | None = None) -> None:
+        """Call it no longer; nobody, where none is named."""
+        if callback is None:
+            self._listeners.pop(can_id, None)
+        elif callback in self._listeners.get(can_id, []):
+            self._listeners[can_id].remove(callback)
+
+    def send_message(self, can_id: int, data: Iterable[int], remote: bool = False) -> None:
+        """Put a frame on the bus at once."""
+        self._send(can_id, bytes(data))
+
+    def send_periodic(self, can_id: int, data: bytes, period: float, remote: bool = False) -> Never:
+        """Never: heartbeats and event timers go by the device's clock."""
+        raise NotImplementedError("the mock node sends nothing by a timer of its own")
+
+    def heard(self, can_id: int, data: bytes) -> None:
+        """A frame is on the bus."""
+        for callback in self._listeners.get(can_id, ()):
+            callback(can_id, data, 0.0)

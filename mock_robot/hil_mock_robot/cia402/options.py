@@ -10,9 +10,9 @@ import numpy as np
 
 from hil.arms import ArmDescription, Payload, arm_names
 from hil.core import FloatArray, SpecError
-from hil_mock_robot.cia402.clock import PATIENCE_S
+from hil_mock_robot.cia402.station import PATIENCE_S
 from hil_mock_robot.cia402.telling import add_tell
-from hil_mock_robot.command_line import WithDefaults
+from hil_mock_robot.server.options import WithDefaults
 
 OWN_COMMAND = "python -m hil_mock_robot can"
 MODEL, CHANNEL, INTERFACE, MASTER_ID = "lab6", "can0", "hil_unix", 127

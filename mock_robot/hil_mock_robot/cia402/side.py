@@ -18,11 +18,10 @@ from typing import Any
 
 from hil.can import private_folder
 from hil.core import HilError, PluginError, SpecError
-from hil_mock_robot.cia402.side_client import SideClient
 from hil_mock_robot.cia402.station import Station
 from hil_mock_robot.cia402.troubles import Troubles
 from hil_mock_robot.cia402.truths import truth_of
-from hil_mock_robot.side_requests import Request, payload_in, torque_in
+from hil_mock_robot.server.side_channel import Request, SideClient, payload_in, torque_in
 
 Answer = dict[str, Any]
 

@@ -1,27 +1,34 @@
-"""Drives and the arm between them: what a frame, a SYNC and time do to them."""
+"""The station: all drives of one arm on one bus, and the arm between them.
+
+`Station` says what a frame, a SYNC and time do to them; it has one thread, no socket and no clock
+of its own. `Unit` is one drive with its node and its line. `DeviceClock` counts device time, which
+SYNC carries; the caller says what time it is. `Routes` and `Siblings` lead frames to the drives
+that take notice of them, `Marker` and `MotionWatch` tell when a motion begins and ends.
+"""
 
 from __future__ import annotations
 
+import struct
+from collections import deque
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from hil.arms import Payload
 from hil_mock_robot.cia402 import keys
-from hil_mock_robot.cia402.axis import joints_of
+from hil_mock_robot.cia402.axis import Joint, joints_of
 from hil_mock_robot.cia402.body import Body
-from hil_mock_robot.cia402.clock import DeviceClock
-from hil_mock_robot.cia402.contracts import Send
-from hil_mock_robot.cia402.dictionary import registers_of
-from hil_mock_robot.cia402.marker import Marker
-from hil_mock_robot.cia402.nmt import State
-from hil_mock_robot.cia402.objects import real
-from hil_mock_robot.cia402.routes import Routes, changed_by
-from hil_mock_robot.cia402.siblings import Siblings
-from hil_mock_robot.cia402.unit import PERIOD, Unit
+from hil_mock_robot.cia402.bus import Line
+from hil_mock_robot.cia402.contracts import STEP_S, Registers, Send, key
+from hil_mock_robot.cia402.dictionary import N_PDOS, NOT_VALID, RPDO_PARAMETERS, real, registers_of
+from hil_mock_robot.cia402.drive import Drive
+from hil_mock_robot.cia402.node import RESET_NODE, Hooks, MockNode, NmtState
+from hil_mock_robot.cia402.power import State
+from hil_mock_robot.cia402.sdo import COB_ID
 
 SYNC = 0x080
 DEFAULT_PERIOD_S = 0.004
+
 MOUNT_STEPS = 20
 """Device time after the last write to a payload object before the load hangs at the flange: it is
 written in parts, and each change of the plant costs a few milliseconds."""
@@ -30,8 +37,8 @@ TICK_STEPS = 5
 """How often heartbeats, event timers and the watch on the master are looked at, in device time."""
 
 PAYLOAD = (keys.PAYLOAD_MASS, keys.PAYLOAD_X, keys.PAYLOAD_Y, keys.PAYLOAD_Z)
-
 Event = Callable[[str, dict[str, int | float | str]], None]
+PERIOD = (keys.INTERPOLATION_VALUE, keys.INTERPOLATION_INDEX, keys.CYCLE_PERIOD)
 
 
 class Station:
@@ -182,7 +189,7 @@ class Station:
         self.tell(what, axis=axis + 1, code=code)
 
     def _now_in(self, axis: int, state: int) -> None:
-        if state == State.OPERATIONAL:
+        if state == NmtState.OPERATIONAL:
             self._operational.add(axis)
         elif axis in self._operational:
             self._operational.remove(axis)
@@ -215,3 +222,375 @@ class Station:
         self._mount_due = None
         if self.mounted != self.body.mounted:
             self.body.mount(self.mounted)
+
+
+Told = Callable[[int, str, int], None]
+"""Axis from 0, what happened there (`emergency`, `nmt`, `booted`, `connection_lost`), a code."""
+
+NMT = 0x000
+
+
+class Unit:
+    """A drive with everything that belongs to it.
+
+    Args:
+        number: From 0.
+        node_id: On the bus.
+        registers: As after power-on.
+        joint: What it turns.
+        put: Puts a frame on the bus.
+        told: Called with what happens.
+        written: Called with axis and key of every object that a client has written.
+
+    Attributes:
+        number, node_id, registers: As given.
+        line, node, drive: Its parts.
+        follows_sync: Whether it takes notice of SYNC.
+    """
+
+    def __init__(
+        self,
+        number: int,
+        node_id: int,
+        registers: Registers,
+        joint: Joint,
+        put: Send,
+        told: Told,
+        written: Callable[[int, int], None],
+    ) -> None:
+        self.number, self.node_id, self.registers = number, node_id, registers
+        self.follows_sync = True
+        self._operational = False
+        self._told, self._on_written = told, written
+        self.line = Line(node_id, put)
+        hooks = Hooks(
+            applied=lambda: self.drive.obey(),
+            written=self._written,
+            resetting=lambda _: self.drive.connection.taken_off(),
+            nmt_changed=self._nmt_changed,
+            booted=self._booted,
+            connection_lost=self._connection_lost,
+        )
+        self.node = MockNode(node_id, registers, self.line.send, hooks)
+        self.drive = Drive(registers, joint, self._emergency)
+
+    @property
+    def operational(self) -> bool:
+        """Whether it exchanges process data."""
+        return self._operational
+
+    @property
+    def synced(self) -> bool:
+        """Whether a SYNC reaches it."""
+        return self.follows_sync and not self.line.cuts
+
+    def bus_off(self) -> None:
+        """Its CAN controller has given up: nothing passes, and the drive knows."""
+        self.line.cuts.add("bus_off")
+        self.line.look()
+        self.node.bus_off()
+
+    def recover(self) -> None:
+        """It is back on the bus."""
+        if "bus_off" in self.line.cuts:
+            self.line.cuts.discard("bus_off")
+            self.line.look()
+            self.node.bus_back()
+
+    def power_off(self) -> None:
+        """Nothing works any more, the brake is on."""
+        self.line.cuts.add("power")
+        self.line.look()
+        self.drive.reset()
+
+    def power_on(self) -> None:
+        """It starts anew, with nothing of what was set."""
+        self.line.cuts.discard("power")
+        self.line.look()
+        self.node.heard(NMT, bytes([RESET_NODE, self.node_id]))
+
+    def _written(self, key: int, value: int) -> None:
+        self.drive.written(key)
+        if key == keys.SIMULATED_ERROR:
+            self.drive.fault(value)
+        self._on_written(self.number, key)
+
+    def _nmt_changed(self, state: int) -> None:
+        left, self._operational = self._operational, state == NmtState.OPERATIONAL
+        self._told(self.number, "nmt", state)
+        if left or state == NmtState.STOPPED:
+            self.drive.connection.taken_off()
+
+    def _booted(self, application: bool) -> None:
+        self._operational = False
+        if application:
+            self.drive.restart()
+        self._told(self.number, "booted", int(application))
+
+    def _connection_lost(self, code: int) -> None:
+        self._told(self.number, "connection_lost", code)
+        self.drive.connection.lost(code)
+
+    def _emergency(self, code: int, register: int) -> None:
+        self._told(self.number, "emergency", code)
+        self.node.emergency(code, register)
+
+
+PROCESS_DATA = range(0x181, 0x580)
+SDO = 0x600
+SDO_REQUESTS = range(SDO + 1, SDO + 0x80)
+CAN_ID = 0x7FF
+
+
+class Routes:
+    """Looks up who hears a frame, and remembers it until a COB-ID changes.
+
+    Args:
+        units: All drives.
+    """
+
+    def __init__(self, units: Sequence[Unit]) -> None:
+        self._units = tuple(units)
+        self._known: dict[int, tuple[Unit, ...]] = {}
+
+    def to(self, can_id: int) -> tuple[Unit, ...]:
+        """The drives that hear frames of this identifier."""
+        found = self._known.get(can_id)
+        if found is None:
+            found = self._known[can_id] = self._look(can_id)
+        return found
+
+    def forget(self) -> None:
+        """Parameters of PDOs have changed."""
+        self._known.clear()
+
+    def _look(self, can_id: int) -> tuple[Unit, ...]:
+        if can_id in PROCESS_DATA:
+            return tuple(unit for unit in self._units if can_id in _received(unit))
+        if can_id in SDO_REQUESTS:
+            return tuple(unit for unit in self._units if SDO + unit.node_id == can_id)
+        return self._units
+
+
+def _received(unit: Unit) -> set[int]:
+    cob_ids = (unit.registers[key(RPDO_PARAMETERS + i, COB_ID)] for i in range(N_PDOS))
+    return {cob_id & CAN_ID for cob_id in cob_ids if not cob_id & NOT_VALID}
+
+
+def changed_by(where: int) -> bool:
+    """Whether writing the object of this key changes routes."""
+    return RPDO_PARAMETERS <= where >> 8 < RPDO_PARAMETERS + N_PDOS
+
+
+HEARTBEATS = range(0x701, 0x780)
+
+
+class Siblings:
+    """Keeps what drives send until the others can hear it: when all have done with the last frame.
+
+    Args:
+        put: Puts a frame on the bus, for everybody else.
+    """
+
+    def __init__(self, put: Send) -> None:
+        self._put = put
+        self._said: deque[tuple[int, int, bytes]] = deque()
+
+    def voice(self, number: int) -> Send:
+        """By which the drive of that number (from 0) sends."""
+
+        def say(can_id: int, data: bytes) -> None:
+            self._put(can_id, data)
+            if can_id in PROCESS_DATA or can_id in HEARTBEATS:
+                self._said.append((number, can_id, data))
+
+        return say
+
+    def listen(self, routes: Routes) -> None:
+        """Let the others hear what was said: PDOs that are linked, heartbeats that are watched."""
+        while self._said:
+            number, can_id, data = self._said.popleft()
+            for unit in routes.to(can_id):
+                if unit.number != number and unit.line.passes(can_id, data):
+                    unit.node.heard(can_id, data)
+
+
+PATIENCE_S = 0.2
+"""Wall time without SYNC before the drives go by their own timer. Until then their time stands
+still: a master that a busy computer held up goes on as if nothing had been."""
+
+IDLE_PATIENCE_S = 0.02
+"""The same while no drive is operational: nothing is interrupted then."""
+
+PERIODS_MISSED = 2.0
+
+CARRIED = 1e-9
+"""What sums of periods may lack of a whole step by rounding, in steps."""
+
+LONGEST_STALL_S = 0.1
+"""What the drives' own timer catches up at once; a computer that slept longer lost that time."""
+
+
+class DeviceClock:
+    """Counts the steps of `STEP_S` that have passed for the drives.
+
+    While there is SYNC, every one of them is a period, however long it took on the wall: a master
+    may go faster or slower than real time. Without, time goes on as on the wall.
+
+    Args:
+        now_s: Wall time, monotonic.
+        patience_s: Wall time without SYNC after which the drives' own timer takes over; never
+            less than two periods.
+
+    Attributes:
+        steps: Passed since the start.
+        synced: Whether SYNC carries the time.
+        syncs: How many there were.
+    """
+
+    def __init__(self, now_s: float, patience_s: float = PATIENCE_S) -> None:
+        self._patience_s = patience_s
+        self.steps = self.syncs = 0
+        self.synced = False
+        self._rest = 0.0
+        self._gives_up_s = self._synced_s = now_s
+        self._own_s = now_s
+
+    @property
+    def device_s(self) -> float:
+        """Device time [s]."""
+        return self.steps * STEP_S
+
+    def sync(self, now_s: float, period_s: float) -> int:
+        """A SYNC has come; how many steps pass with it.
+
+        Args:
+            now_s: Wall time.
+            period_s: What the drives take for the time between two SYNCs.
+        """
+        self.synced = True
+        self.syncs += 1
+        self._synced_s = now_s
+        self._gives_up_s = now_s + max(PERIODS_MISSED * period_s, self._patience_s)
+        return self._pass(period_s)
+
+    def own(self, now_s: float) -> int:
+        """Wall time has passed without SYNC; how many steps pass with it."""
+        if self.synced:
+            if now_s < self._gives_up_s:
+                return 0
+            # The silence was waited out, it is not made up for: a SYNC may have been meant late.
+            self.synced, self._own_s = False, self._gives_up_s
+        self._own_s = max(self._own_s, now_s - LONGEST_STALL_S)
+        steps = int((now_s - self._own_s) / STEP_S + CARRIED)
+        self._own_s += steps * STEP_S
+        self.steps += steps
+        return steps
+
+    def idle(self) -> None:
+        """No drive is operational any more: the own timer takes over soon."""
+        self._gives_up_s = min(self._gives_up_s, self._synced_s + IDLE_PATIENCE_S)
+
+    def slept(self, lasted_s: float) -> None:
+        """For so long nobody looked whether there is SYNC: that time does not count."""
+        self._gives_up_s += lasted_s
+
+    def wait_s(self, now_s: float, steps: int) -> float:
+        """Wall time until the own timer has so many steps to make; 0 when it is due."""
+        due = self._gives_up_s if self.synced else self._own_s
+        return max(0.0, due + steps * STEP_S - now_s)
+
+    def _pass(self, period_s: float) -> int:
+        self._rest += period_s / STEP_S
+        steps = int(self._rest + CARRIED)
+        self._rest -= steps
+        self.steps += steps
+        return steps
+
+
+FRAME = struct.Struct("<iH")
+"""Step of the plan and status."""
+
+TPDO1 = 0x180
+
+MOVING = 1
+"""Bit of the status: the motion of the step is still running."""
+
+
+class Marker:
+    """Follows what the master announces.
+
+    Args:
+        master_id: Its node id.
+
+    Attributes:
+        can_id: Under which it announces.
+        known: Whether it has announced anything yet.
+        segment, status: What it said last.
+    """
+
+    def __init__(self, master_id: int) -> None:
+        self.can_id = TPDO1 + master_id
+        self.known = False
+        self.segment, self.status = -1, 0
+
+    @property
+    def moving(self) -> bool:
+        """Whether a motion is running."""
+        return bool(self.status & MOVING)
+
+    def heard(self, data: bytes) -> None:
+        """A frame of that identifier; others of that length are nobody's."""
+        if len(data) == FRAME.size:
+            self.segment, self.status = FRAME.unpack(data)
+            self.known = True
+
+
+STANDSTILL_S = 0.1
+"""Device time without a new set-point after which the next one begins a motion."""
+
+SETPOINTS = (keys.TARGET_POSITION, keys.TARGET_VELOCITY, keys.TARGET_TORQUE)
+
+
+class MotionWatch:
+    """Says when a motion begins and ends.
+
+    A master that announces what it does is believed; else set-points that change are a motion.
+
+    Args:
+        station: What it looks at; call `passed` after every block of steps.
+
+    Attributes:
+        moving: Whether one is under way.
+        listeners: Told whether it begins or ends.
+    """
+
+    def __init__(self, station: Station) -> None:
+        self._station = station
+        self._setpoints: list[int] = []
+        self._still_steps = 0
+        self.moving = False
+        self.listeners: list[Callable[[bool], None]] = []
+
+    def passed(self, steps: int) -> None:
+        """Steps have passed."""
+        marker = self._station.marker
+        moving = marker.moving if marker.known else self._changing(steps)
+        if moving is not self.moving:
+            self.moving = moving
+            for listener in self.listeners:
+                listener(moving)
+
+    def _changing(self, steps: int) -> bool:
+        now = [
+            axis.registers[key]
+            for axis in self._station.axes
+            if axis.drive.state is State.OPERATION_ENABLED
+            for key in SETPOINTS
+        ]
+        changed = len(now) == len(self._setpoints) and now != self._setpoints
+        self._setpoints = now
+        self._still_steps = 0 if changed else self._still_steps + steps
+        if not now:
+            return False
+        return changed or (self.moving and self._still_steps * STEP_S < STANDSTILL_S)

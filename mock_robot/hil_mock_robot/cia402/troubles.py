@@ -6,13 +6,11 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from hil.core import CommandRefused, SpecError
+from hil_mock_robot.cia402.bus import refused_mapping, refused_object
 from hil_mock_robot.cia402.contracts import STEP_S
 from hil_mock_robot.cia402.faults import KINDS, MASTER, Fault, fault_of
-from hil_mock_robot.cia402.line import refused_mapping, refused_object
-from hil_mock_robot.cia402.motion import MotionWatch
-from hil_mock_robot.cia402.station import Station
-from hil_mock_robot.cia402.unit import Unit
-from hil_mock_robot.schedule import Schedule
+from hil_mock_robot.cia402.station import MotionWatch, Station, Unit
+from hil_mock_robot.server.faults import Schedule
 
 OVERCURRENT = 0x2310
 EVERY_MODE = frozenset(range(-128, 128))

@@ -8,7 +8,7 @@ import numpy as np
 
 from hil_mock_robot.cia402 import keys
 from hil_mock_robot.cia402.station import Station
-from hil_mock_robot.side_requests import listed
+from hil_mock_robot.server.side_channel import listed
 
 
 def truth_of(station: Station) -> dict[str, Any]:

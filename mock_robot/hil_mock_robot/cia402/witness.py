@@ -13,11 +13,9 @@ import numpy as np
 from hil_mock_robot.cia402 import keys
 from hil_mock_robot.cia402.contracts import STEP_S
 from hil_mock_robot.cia402.faults import Fault
-from hil_mock_robot.cia402.motion import MotionWatch
-from hil_mock_robot.cia402.states import FAULTED, Command, State, command_of
-from hil_mock_robot.cia402.station import Station
-from hil_mock_robot.journal import Journal, Moment
-from hil_mock_robot.rest import RestWatch
+from hil_mock_robot.cia402.power import FAULTED, Command, State, command_of
+from hil_mock_robot.cia402.station import MotionWatch, Station
+from hil_mock_robot.server.journal import Journal, Moment, RestWatch
 
 ENABLED = State.OPERATION_ENABLED
 HEXADECIMAL = ("emergency", "connection_lost")

@@ -9,13 +9,12 @@ from collections.abc import Sequence
 
 from hil.arms import Payload
 from hil.core import SpecError
-from hil_mock_robot.command_line import exit_code_of, factor_of, loopback_of
-from hil_mock_robot.draw import draw_truth, published
-from hil_mock_robot.journal import Journal
-from hil_mock_robot.twincat.ads import PlcHandler
+from hil_mock_robot.plant.truth import draw_truth, published
+from hil_mock_robot.server.journal import Journal
+from hil_mock_robot.server.options import exit_code_of, factor_of, loopback_of
+from hil_mock_robot.twincat.ads import Links, PlcHandler
 from hil_mock_robot.twincat.arm import PlcArm
 from hil_mock_robot.twincat.faults import read_faults
-from hil_mock_robot.twincat.links import Links
 from hil_mock_robot.twincat.loop import Loop
 from hil_mock_robot.twincat.memory import Memory
 from hil_mock_robot.twincat.options import (

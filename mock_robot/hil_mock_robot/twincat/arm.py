@@ -8,11 +8,10 @@ import numpy as np
 
 from hil.arms import ArmDescription, Payload
 from hil.core import FloatArray
-from hil_mock_robot.arm import SETTLING_S
-from hil_mock_robot.draw import published
-from hil_mock_robot.sensors import Sensors
-from hil_mock_robot.simulation import Setting, Simulation
-from hil_mock_robot.truth import Truth
+from hil_mock_robot.plant.records import SETTLING_S
+from hil_mock_robot.plant.sensors import Sensors
+from hil_mock_robot.plant.simulation import Setting, Simulation
+from hil_mock_robot.plant.truth import Truth, published
 
 
 class Measured(NamedTuple):
@@ -23,7 +22,7 @@ class Measured(NamedTuple):
         effort, effort_target: Torque at the joint [N·m] or motor current [A].
         celsius: [°C].
         true_qd: Without noise, for those who judge.
-        fault: 0, or a code of `hil_mock_robot.arm.FAULTS` that holds for the last cycle.
+        fault: 0, or a code of `plant.records.FAULTS` that holds for the last cycle.
     """
 
     q: FloatArray

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from hil_mock_robot.fault_list import FaultList, Number
+from hil_mock_robot.server.faults import FaultList, Number
 
 KINDS: dict[str, tuple[str, ...]] = {
     "drive_fault": ("for_s", "code"),

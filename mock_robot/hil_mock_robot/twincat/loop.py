@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from hil_mock_robot.twincat.links import Links
+from hil_mock_robot.twincat.ads import Links
 from hil_mock_robot.twincat.program import PlcProgram
 from hil_mock_robot.twincat.side import SideFile
 from hil_mock_robot.twincat.troubles import Troubles

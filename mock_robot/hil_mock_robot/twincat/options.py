@@ -10,8 +10,8 @@ import numpy as np
 
 from hil.arms import ArmDescription
 from hil.core import FloatArray, SpecError
-from hil_mock_robot.command_line import WithDefaults
-from hil_mock_robot.options import UPRIGHT_DEG
+from hil_mock_robot.embedded.options import UPRIGHT_DEG
+from hil_mock_robot.server.options import WithDefaults
 
 OWN_COMMAND = "python -m hil_mock_robot plc"
 RATE_HZ = 1000.0

@@ -1,20 +1,48 @@
-"""The PLC's program: plays, obeys a stop, watches the PC's beat, fills the ring."""
+"""The PLC's program: one cycle after the other.
+
+`PlcProgram` plays trajectories, obeys a stop, watches the beat of the PC and fills the ring.
+`Commands` are taken, checked (`refusal_of`) and answered; `Trajectory`, `Ramp` and `Hold` are what
+is commanded to the arm, all in closed form; `RingWriter` writes one row a cycle.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from enum import IntEnum
+from typing import Any, Protocol
 
 import numpy as np
 
-from hil.core import FloatArray
-from hil_mock_robot.arm import FAULTS
-from hil_mock_robot.twincat.arm import PlcArm
-from hil_mock_robot.twincat.commands import Commands
+from hil.arms import Payload
+from hil.core import FloatArray, StructArray
+from hil_mock_robot.plant.records import FAULTS
+from hil_mock_robot.twincat.arm import Measured, PlcArm
 from hil_mock_robot.twincat.memory import Memory
-from hil_mock_robot.twincat.phases import Phase
-from hil_mock_robot.twincat.playing import Course, Hold, Ramp, Trajectory
-from hil_mock_robot.twincat.ring_writing import RingWriter
+
+MOVING, HOLDING, FAULT, MASKED = 1, 2, 4, 8
+"""Bits of a row's `nStatus`."""
+
+
+class Phase(IntEnum):
+    """`nPhase`."""
+
+    NOT_READY = 0
+    HOLDING = 1
+    PLAYING = 2
+    STOPPING = 3
+    FAULT = 4
+
+
+class Command(IntEnum):
+    """`nCommand`."""
+
+    TAKE = 1
+    LOAD = 2
+    START = 3
+    HOLD = 4
+    PAYLOAD = 5
+    RELEASE = 6
+
 
 Listener = Callable[[str, dict[str, Any]], None]
 
@@ -159,3 +187,324 @@ class PlcProgram:
 
     def _tell(self) -> None:
         self._state["nPhase"], self._state["nHead"] = self.phase, self._ring.head
+
+
+class Commands:
+    """Looks for a new command in every cycle.
+
+    Args:
+        memory: Of the PLC.
+        arm: What it moves.
+        program: Does it.
+
+    Attributes:
+        refuse: A result to refuse the next command with; 0 to look at it.
+        cause_lasts: Whether the cause of a fault is still there: then nobody can take the arm.
+        loaded: (N,) set-points that passed LOAD: the PLC's own copy. What is written to
+            `aSetPoints` after they were checked is never played.
+    """
+
+    def __init__(self, memory: Memory, arm: PlcArm, program: PlcProgram) -> None:
+        self._memory, self._arm, self._program = memory, arm, program
+        self._info, self._state = memory.view("stInfo")[0], memory.view("stState")[0]
+        self._command, self._answer = memory.view("stCommand")[0], memory.view("stAnswer")[0]
+        self._set_points = memory.view("aSetPoints")
+        self.refuse, self.cause_lasts = 0, False
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin anew: what was asked for before is not done."""
+        self.loaded: np.ndarray[Any, Any] = self._set_points[:0]
+        self._memory.clear("stAnswer")
+        self._done = int(self._command["nCounter"])
+        self._tell_load()
+
+    def forget(self) -> None:
+        """Nothing is loaded any more."""
+        self.loaded = self._set_points[:0]
+
+    def look(self) -> None:
+        """Do what is asked for, once, and answer."""
+        command, answer = self._command, self._answer
+        counter = int(command["nCounter"])
+        if counter == self._done or counter != command["nCounterEnd"]:
+            return
+        self._done, result, where = counter, self.refuse, -1
+        self.refuse = 0
+        if not result:
+            result, where = self._do(command)
+        answer["nCounterEnd"] = counter  # first; the counter in front last
+        answer["nResult"], answer["nWhere"] = result, where
+        answer["nSession"], answer["nCommand"] = command["nSession"], command["nCommand"]
+        self._tell_load()
+        answer["nCounter"] = counter
+        named = Command(command["nCommand"]).name.lower() if 1 <= command["nCommand"] <= 6 else "?"
+        self._program.told("command", {"by": named, "result": int(result)})
+
+    def _do(self, command: np.void) -> tuple[int, int]:
+        """Result, and the axis that it is about."""
+        number, holder = int(command["nCommand"]), int(self._state["nSession"])
+        if number == Command.TAKE:
+            return self._take(int(command["nSession"])), -1
+        if holder == 0 or command["nSession"] != holder:
+            return Result.NOT_YOURS, -1
+        if number == Command.RELEASE:
+            self._state["nSession"] = 0
+            self._program.halt()
+            return Result.DONE, -1
+        if self._program.phase == Phase.FAULT:
+            return Result.FAULT, -1
+        if self._program.phase != Phase.HOLDING:
+            return Result.BUSY, -1
+        if number == Command.LOAD:
+            return self._load(command)
+        if number == Command.PAYLOAD:
+            return self._declare(command), -1
+        if number in (Command.START, Command.HOLD):
+            return self._begin(command, plays=number == Command.START), -1
+        return Result.UNKNOWN, -1
+
+    def _take(self, session: int) -> int:
+        program, holder = self._program, int(self._state["nSession"])
+        if session == 0 or holder not in (0, session):
+            return Result.HELD
+        if program.phase in (Phase.PLAYING, Phase.STOPPING):
+            return Result.BUSY
+        if program.phase == Phase.FAULT:
+            if self.cause_lasts or not self._arm.braked:
+                return Result.FAULT
+            program.hold_where_it_stands()
+        self._state["nSession"] = session
+        program.heard()
+        self.forget()
+        return Result.DONE
+
+    def _load(self, command: np.void) -> tuple[int, int]:
+        self.forget()
+        count = int(command["nRows"])
+        if not 1 <= count <= len(self._set_points):
+            return Result.TOO_MANY, -1
+        rows = self._set_points[:count].copy()
+        sums = sums_of(rows)
+        self._answer["nSumA"], self._answer["nSumB"] = sums
+        if sums != (command["nSumA"], command["nSumB"]):
+            return Result.CHECKSUM, -1
+        cycle_s = float(self._info["fCycleS"])
+        result, where = refusal_of(rows, self._info, self._arm.setpoint[0], cycle_s)
+        if result == Result.DONE:
+            self.loaded = rows
+        return result, where
+
+    def _declare(self, command: np.void) -> int:
+        mass = float(command["fMass"])
+        if not 0 <= mass <= self._info["fPayloadMax"]:
+            return Result.TOO_HEAVY
+        x, y, z = command["aCom"].tolist()
+        self._arm.declare(Payload(mass, (x, y, z), tuple(command["aInertia"].tolist())))
+        return Result.DONE
+
+    def _begin(self, command: np.void, *, plays: bool) -> int:
+        if command["nStop"] != self._memory.view("nStop")[0]:
+            return Result.STOPPED
+        if plays and not len(self.loaded):
+            return Result.NOT_LOADED
+        path = None
+        if plays:
+            path = np.stack([self.loaded[name] for name in ("aQ", "aQd", "aQdd")], axis=1)
+            self.forget()
+        self._program.begin(int(command["nSegment"]), path)
+        return Result.DONE
+
+    def _tell_load(self) -> None:
+        payload, answer = self._arm.declared, self._answer
+        answer["fMass"], answer["aCom"] = payload.mass, payload.com
+        answer["aInertia"] = payload.inertia
+
+
+START_RAD = 1e-3
+REST_RAD_S = 0.01
+
+STEP_SHARE = 1.05
+"""Of the way that the highest velocity makes in a cycle: farther apart set-points are a jump."""
+
+SLACK_RAD, SLACK_SHARE = 1e-6, 1.001
+
+
+class Result(IntEnum):
+    """`nResult` of an answer."""
+
+    DONE = 0
+    UNKNOWN = 1
+    NOT_YOURS = 2
+    HELD = 3
+    BUSY = 4
+    CHECKSUM = 5
+    TOO_MANY = 6
+    POSITION = 7
+    VELOCITY = 8
+    ACCELERATION = 9
+    ELSEWHERE = 10
+    NOT_LOADED = 11
+    STOPPED = 12
+    FAULT = 13
+    TOO_HEAVY = 14
+    NOT_AT_REST = 15
+    NO_NUMBER = 16
+    JUMP = 17
+
+
+def sums_of(rows: StructArray) -> tuple[int, int]:
+    """Both sums of a block, word by word as the PLC adds them up: modulo 2³²."""
+    a = np.cumsum(rows.view(np.uint32), dtype=np.uint32)
+    return int(a[-1]), int(np.sum(a, dtype=np.uint32))
+
+
+def refusal_of(
+    rows: StructArray, info: np.void, standing: FloatArray, cycle_s: float
+) -> tuple[Result, int]:
+    """Why set-points are not played, and the axis that it is about.
+
+    Args:
+        rows: (N,) set-points.
+        info: `stInfo`, with the limits.
+        standing: (n,) the commanded position now [rad].
+        cycle_s: Time between two set-points [s].
+    """
+    q, qd, qdd = rows["aQ"], rows["aQd"], rows["aQdd"]
+    outside = np.maximum(info["aQMin"] - q, q - info["aQMax"])
+    steps = np.abs(np.diff(q, axis=0)) - STEP_SHARE * cycle_s * info["aQdMax"]
+    checks = (
+        (Result.NO_NUMBER, ~(np.isfinite(q) & np.isfinite(qd) & np.isfinite(qdd))),
+        (Result.ELSEWHERE, np.abs(q[:1] - standing) > START_RAD),
+        (Result.NOT_AT_REST, np.abs(qd[[0, -1]]) > REST_RAD_S),
+        (Result.POSITION, outside > SLACK_RAD),
+        (Result.VELOCITY, np.abs(qd) > SLACK_SHARE * info["aQdMax"]),
+        (Result.ACCELERATION, np.abs(qdd) > SLACK_SHARE * info["aQddMax"]),
+        (Result.JUMP, steps > SLACK_RAD),
+    )
+    for result, wrong in checks:
+        if wrong.any():
+            return result, int(wrong.any(axis=0).argmax())
+    return Result.DONE, -1
+
+
+class Course(Protocol):
+    """Set-points of the cycles to come."""
+
+    def next(self, count: int) -> FloatArray:
+        """(N, 3, n) of the next cycles, N ≤ count; fewer when it ends."""
+
+
+class Trajectory:
+    """Rows of the array, one per cycle.
+
+    Args:
+        rows: (N, 3, n) positions [rad], velocities and accelerations.
+    """
+
+    def __init__(self, rows: FloatArray) -> None:
+        self._rows, self._at = rows, 0
+
+    def next(self, count: int) -> FloatArray:
+        """See `Course`."""
+        rows = self._rows[self._at : self._at + count]
+        self._at += len(rows)
+        return rows
+
+
+class Ramp:
+    """Every joint comes to rest in the same time, the fastest with a given deceleration.
+
+    Args:
+        setpoint: (3, n) from where.
+        deceleration: Of the fastest joint [rad/s²].
+        cycle_s: Time between two set-points [s].
+    """
+
+    def __init__(self, setpoint: FloatArray, deceleration: float, cycle_s: float) -> None:
+        self._q, self._v = setpoint[0].copy(), setpoint[1].copy()
+        self._takes_s = float(np.abs(self._v).max()) / deceleration
+        self._cycle_s, self._done = cycle_s, 0
+        self._cycles = int(np.ceil(self._takes_s / cycle_s - 1e-9))
+
+    def next(self, count: int) -> FloatArray:
+        """See `Course`; the last set-point rests."""
+        last = min(self._done + count, self._cycles)
+        t = np.arange(self._done + 1, last + 1)[:, None] * self._cycle_s
+        self._done = last
+        t = np.minimum(t, self._takes_s)
+        left = 1.0 - t / self._takes_s if self._takes_s else np.zeros_like(t)
+        q = self._q + self._v * (t - t**2 / 2 / max(self._takes_s, 1e-12))
+        slowing = np.where(left > 0, -self._v / max(self._takes_s, 1e-12), 0.0)
+        return np.stack((q, self._v * left, slowing), axis=1)
+
+
+class Hold:
+    """One position for ever.
+
+    Args:
+        q: (n,) [rad].
+    """
+
+    def __init__(self, q: FloatArray) -> None:
+        self._row = np.zeros((3, len(q)))
+        self._row[0] = q
+
+    def next(self, count: int) -> FloatArray:
+        """See `Course`."""
+        return np.repeat(self._row[None], count, axis=0)
+
+
+class RingWriter:
+    """Writes rows.
+
+    Args:
+        memory: Of the PLC.
+
+    Attributes:
+        head: Rows written since the program started.
+    """
+
+    def __init__(self, memory: Memory) -> None:
+        self._ring, self._state = memory.view("aRing"), memory.view("stState")[0]
+        self._cycle_ns = np.uint64(round(float(memory.view("stInfo")[0]["fCycleS"]) * 1e9))
+        self.head = 0
+
+    def write(self, setpoints: FloatArray, measured: Measured, segment: int, phase: Phase) -> None:
+        """The rows of N cycles.
+
+        Args:
+            setpoints: (N, 3, n) commanded.
+            measured: Of the same cycles.
+            segment: Of all of them.
+            phase: The same.
+        """
+        count = len(measured.q)
+        number = np.arange(self.head, self.head + count, dtype=np.uint64)
+        rows = np.zeros(count, self._ring.dtype)
+        rows["nTimeNs"] = number * self._cycle_ns
+        rows["aQ"], rows["aQd"], rows["aEffort"] = measured.q, measured.qd, measured.effort
+        rows["aCelsius"], rows["aEffortTarget"] = measured.celsius, measured.effort_target
+        rows["aQTarget"], rows["aQdTarget"], rows["aQddTarget"] = setpoints.swapaxes(0, 1)
+        rows["nSegment"], rows["nPhase"] = segment, phase
+        rows["nFault"], rows["nStatus"] = self._state["nFault"], _status(setpoints, phase)
+        self._put(rows, number)
+        self.head += count
+
+    def _put(self, rows: np.ndarray[Any, Any], number: np.ndarray[Any, Any]) -> None:
+        """The end's number first, the beginning's last.
+
+        Whoever reads from the front and finds both alike has read nothing that was being written.
+        """
+        at = number % np.uint64(len(self._ring))
+        self._ring["nSequenceEnd"][at] = rows["nSequenceEnd"] = number
+        rows["nSequence"] = self._ring["nSequence"][at]
+        self._ring[at] = rows
+        self._ring["nSequence"][at] = number
+
+
+def _status(setpoints: FloatArray, phase: Phase) -> Any:
+    if phase == Phase.FAULT:
+        rests = (setpoints[:, 1] == 0).all(axis=1)
+        return np.where(rests, HOLDING, MOVING) | FAULT | MASKED
+    return MOVING if phase in (Phase.PLAYING, Phase.STOPPING) else HOLDING

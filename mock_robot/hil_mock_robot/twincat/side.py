@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 from hil.core import SpecError
-from hil_mock_robot.command_line import factor_of
+from hil_mock_robot.server.options import factor_of
 from hil_mock_robot.twincat.faults import fault_of
 from hil_mock_robot.twincat.troubles import Troubles
 

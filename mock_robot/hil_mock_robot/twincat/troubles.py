@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from hil_mock_robot.arm import EMERGENCY_STOP, FAULTS
-from hil_mock_robot.schedule import Schedule
-from hil_mock_robot.twincat.ads import CONFIG, RUN, PlcHandler
+from hil_mock_robot.plant.records import EMERGENCY_STOP, FAULTS
+from hil_mock_robot.server.faults import Schedule
+from hil_mock_robot.twincat.ads import CONFIG, RUN, Links, PlcHandler
 from hil_mock_robot.twincat.faults import COUNTED, Fault
-from hil_mock_robot.twincat.links import Links
 from hil_mock_robot.twincat.program import PlcProgram
 
 DRIVE_FAULT = 0x8611

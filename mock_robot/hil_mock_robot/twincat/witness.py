@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from hil.core import FloatArray
-from hil_mock_robot.journal import Journal, Moment
-from hil_mock_robot.rest import RestWatch
+from hil_mock_robot.server.journal import Journal, Moment, RestWatch
 
 STOPPING = ("stop", "watchdog", "fault", "release")
 

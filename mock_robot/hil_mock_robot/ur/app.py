@@ -10,12 +10,12 @@ import zlib
 from collections.abc import Sequence
 
 from hil.arms import Payload
-from hil_mock_robot.command_line import exit_code_of, factor_of, loopback_of
-from hil_mock_robot.draw import draw_truth
-from hil_mock_robot.journal import Journal
+from hil_mock_robot.plant.truth import draw_truth
+from hil_mock_robot.server.journal import Journal
+from hil_mock_robot.server.options import exit_code_of, factor_of, loopback_of
 from hil_mock_robot.ur.body import Body
 from hil_mock_robot.ur.faults import read_faults
-from hil_mock_robot.ur.loop import Loop, Pacer
+from hil_mock_robot.ur.loop import FreeRun, LockStep, Loop, Pacer, RealTime, SlipWarning
 from hil_mock_robot.ur.machine import Machine
 from hil_mock_robot.ur.options import (
     OWN_COMMAND,
@@ -24,13 +24,12 @@ from hil_mock_robot.ur.options import (
     pose_of,
     serial_of,
 )
-from hil_mock_robot.ur.pacing import FreeRun, LockStep, RealTime, SlipWarning
 from hil_mock_robot.ur.rtde import RtdeService
-from hil_mock_robot.ur.series import Series, series_of
 from hil_mock_robot.ur.services import services_of
 from hil_mock_robot.ur.side import SideService
 from hil_mock_robot.ur.telling import request_of, tell
 from hil_mock_robot.ur.troubles import Troubles
+from hil_mock_robot.ur.variables import Series, series_of
 from hil_mock_robot.ur.witness import Witness
 
 

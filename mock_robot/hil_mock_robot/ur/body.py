@@ -8,12 +8,10 @@ import numpy as np
 
 from hil.arms import ArmDescription, Payload
 from hil.core import FloatArray
-from hil_mock_robot.arm import SETTLING_S
-from hil_mock_robot.draw import published
-from hil_mock_robot.mounting import MOUNTS
-from hil_mock_robot.sensors import Sensors
-from hil_mock_robot.simulation import Setting, Simulation
-from hil_mock_robot.truth import Truth
+from hil_mock_robot.plant.records import MOUNTS, SETTLING_S
+from hil_mock_robot.plant.sensors import Sensors
+from hil_mock_robot.plant.simulation import Setting, Simulation
+from hil_mock_robot.plant.truth import Truth, published
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,7 +25,7 @@ class Reading:
         current_target: What the servo's model asks for [A].
         moment_target: Torque of the set-point by the controller's model, without friction [N·m].
         true_q, true_qd: Without noise, for those who judge.
-        fault: 0, or a code of `hil_mock_robot.arm.FAULTS`.
+        fault: 0, or a code of `plant.records.FAULTS`.
     """
 
     q: FloatArray

@@ -1,20 +1,36 @@
-"""The dashboard server: one line in, one line out (port 29999)."""
+"""The dashboard server (port 29999): one line in, one line out; and the pendant behind it.
+
+`COMMANDS` is the table of its commands and replies. `Pendant` holds what a teach pendant would: a
+loaded program, a popup, a log. `PRESSES` are buttons of the pendant for the side channel: unlike
+the dashboard they work in local control, and there is one for the emergency stop itself.
+
+Source: Universal Robots, "Dashboard Server" for CB3 and e-Series: texts, first versions, which
+commands want remote control; replies about logs and reports as UR's client library wants them.
+"""
 
 from __future__ import annotations
 
+import calendar
+import time
+from collections import deque
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
 
+from hil.core import CommandRefused, SpecError
 from hil_mock_robot.ur.contracts import Link, Program
-from hil_mock_robot.ur.dashboard_commands import command_of
-from hil_mock_robot.ur.disk import disk_of
 from hil_mock_robot.ur.machine import Event, Machine
-from hil_mock_robot.ur.pendant import Pendant
+from hil_mock_robot.ur.modes import UNLOCK_AFTER_S, RuntimeState, SafetyMode
+from hil_mock_robot.ur.scripts import program_of
+from hil_mock_robot.ur.variables import Series
 
 GREETING = "Connected: Universal Robots Dashboard Server"
+
 REFUSED = (
     "Command is not allowed due to safety reasons, please switch robot to Remote Control mode "
     "and reconnect to port 29999"
 )
+
 LONGEST_LINE = 4096
 """Bytes; nobody means more than that, and nothing is kept of it."""
 
@@ -111,3 +127,455 @@ class DashboardSession:
             self._link.close()
         else:
             self._link.send(text.encode() + b"\n")
+
+
+TOO_SOON = (
+    "Cannot unlock protective stop until 5s after occurrence. "
+    "Always inspect cause of protective stop before unlocking"
+)
+
+ALWAYS = (0, 0)
+LOG_LINES = 1000
+
+STATES = {
+    RuntimeState.PLAYING: "PLAYING",
+    RuntimeState.RESUMING: "PLAYING",
+    RuntimeState.PAUSED: "PAUSED",
+    RuntimeState.PAUSING: "PAUSED",
+}
+
+UNNAMED = "<unnamed>"
+FOLDER = "/programs/"
+
+
+@dataclass(slots=True)
+class Pendant:
+    """The state behind the dashboard, the same for every client.
+
+    Attributes:
+        machine: The controller.
+        programs: File → what makes that program; other files are an `IdleProgram`.
+        loaded: File of the loaded program, `""` for none.
+        popup: What is shown, `""` for nothing.
+        role: Of the user (CB3).
+        operational: Mode that the dashboard has set last, `NONE` before.
+        reports: Number of the last report.
+        log: The last lines added to it.
+    """
+
+    machine: Machine
+    programs: Mapping[str, Callable[[], Program]] = field(default_factory=dict)
+    loaded: str = ""
+    popup: str = ""
+    role: str = "PROGRAMMER"
+    operational: str = "NONE"
+    reports: int = 0
+    log: deque[str] = field(default_factory=lambda: deque(maxlen=LOG_LINES))
+
+    @property
+    def running(self) -> bool:
+        """Whether a program plays."""
+        return self.state == "PLAYING"
+
+    @property
+    def state(self) -> str:
+        """`STOPPED`, `PLAYING` or `PAUSED`."""
+        return STATES.get(self.machine.runtime, "STOPPED")
+
+    @property
+    def name(self) -> str:
+        """File name of the loaded program."""
+        return self.loaded.rpartition("/")[2] or UNNAMED
+
+    def load(self, file: str) -> bool:
+        """Take a program from the disk; False when there is none of that name."""
+        if not file.endswith(".urp") or file == ".urp":
+            return False
+        self.loaded = file if file.startswith("/") else FOLDER + file
+        return True
+
+    def play(self) -> bool:
+        """Start what is loaded, or go on with what is paused; False when nothing plays then."""
+        machine = self.machine
+        if self.state == "PAUSED":
+            machine.resume()
+        elif self.loaded and not self.running:
+            make = self.programs.get(self.name)
+            name = self.name.removesuffix(".urp")
+            machine.play(make() if make else IdleProgram(name))
+        return self.running
+
+    def forget(self) -> None:
+        """The controller has booted: nothing is loaded or shown."""
+        self.loaded = self.popup = ""
+        self.operational = "NONE"
+
+    def show(self, text: str) -> None:
+        """Show a popup."""
+        self.popup = text
+        self.machine.tell("popup", "Popup", text)
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """One command.
+
+    Attributes:
+        text: What a line begins with.
+        reply: Does it and says what came of it; gets the rest of the line.
+        cb3, e: Software it came with; None when that series has none.
+        remote: Whether an e-Series controller wants remote control for it.
+    """
+
+    text: str
+    reply: Callable[[Pendant, str], str]
+    cb3: tuple[int, int] | None = ALWAYS
+    e: tuple[int, int] | None = ALWAYS
+    remote: bool = False
+
+
+def _load(pendant: Pendant, file: str) -> str:
+    if pendant.running or not pendant.load(file):
+        return f"{'Error while loading program' if pendant.running else 'File not found'}: {file}"
+    return f"Loading program: {pendant.loaded}"
+
+
+def _play(pendant: Pendant, _: str) -> str:
+    return "Starting program" if pendant.play() else "Failed to execute: play"
+
+
+def _stop(pendant: Pendant, _: str) -> str:
+    pendant.machine.halt()
+    return "Stopped"
+
+
+def _pause(pendant: Pendant, _: str) -> str:
+    if not pendant.running:
+        return "Failed to execute: pause"
+    pendant.machine.pause()
+    return "Pausing program"
+
+
+def _shutdown(pendant: Pendant, _: str) -> str:
+    pendant.machine.halt()
+    pendant.machine.modes.power_off()
+    pendant.machine.tell("shutdown")
+    return "Shutting down"
+
+
+def _power_on(pendant: Pendant, _: str) -> str:
+    pendant.machine.modes.power_on()
+    return "Powering on"
+
+
+def _power_off(pendant: Pendant, _: str) -> str:
+    pendant.machine.modes.power_off()
+    return "Powering off"
+
+
+def _brake_release(pendant: Pendant, _: str) -> str:
+    pendant.machine.modes.release_brakes()
+    return "Brake releasing"
+
+
+def _unlock(pendant: Pendant, _: str) -> str:
+    modes = pendant.machine.modes
+    if modes.safety is SafetyMode.PROTECTIVE_STOP and not modes.unlock():
+        return TOO_SOON
+    return "Protective stop releasing"
+
+
+def _restart_safety(pendant: Pendant, _: str) -> str:
+    pendant.machine.modes.restart_safety()
+    return "Restarting safety"
+
+
+def _close_popup(pendant: Pendant, _: str) -> str:
+    pendant.popup = ""
+    return "closing popup"
+
+
+def _popup(pendant: Pendant, text: str) -> str:
+    pendant.show(text)
+    return "showing popup"
+
+
+def _add_to_log(pendant: Pendant, text: str) -> str:
+    pendant.log.append(text)
+    pendant.machine.tell("text", text=text)
+    return "Added log message"
+
+
+def save_log(_pendant: Pendant, _: str) -> str:
+    """Says it is done; nothing is written."""
+    return "Log saved to disk"
+
+
+REPORTS = ("CONTROLLER", "SOFTWARE", "SYSTEM")
+
+
+def flight_report(pendant: Pendant, kind: str) -> str:
+    """Counts up the number of the report; there is none."""
+    if kind.upper() not in REPORTS:
+        return f"Failed to execute: generate flight report {kind}".rstrip()
+    pendant.reports += 1
+    return f"Flight Report generated with id: {pendant.reports}"
+
+
+def support_file(pendant: Pendant, folder: str) -> str:
+    """Names the file that a controller would write."""
+    if not folder:
+        return "Failed to execute: generate support file"
+    pendant.reports += 1
+    name = f"ur_{pendant.machine.serial}_{_clock(pendant)}.zip"
+    return f"Completed successfully: {folder.rstrip('/')}/{name}"
+
+
+def _clock(pendant: Pendant) -> str:
+    """The controller's own, from the date of its software on: two runs name the same file."""
+    began = calendar.timegm(time.strptime(pendant.machine.series.date, "%b %d %Y"))
+    return time.strftime("%Y-%m-%d_%H-%M-%S", time.gmtime(began + pendant.machine.now_s))
+
+
+def _loaded(pendant: Pendant, _: str) -> str:
+    return f"Loaded program: {pendant.loaded}" if pendant.loaded else "No program loaded"
+
+
+def _is_saved(pendant: Pendant, _: str) -> str:
+    return f"true {pendant.name}" if pendant.loaded else f"false {UNNAMED}"
+
+
+def _polyscope_version(pendant: Pendant, rest: str) -> str:
+    return f"URSoftware {_version(pendant, rest)} ({pendant.machine.series.date})"
+
+
+def _version(pendant: Pendant, _: str) -> str:
+    return ".".join(map(str, pendant.machine.series.version))
+
+
+def _model(pendant: Pendant, _: str) -> str:
+    return pendant.machine.body.arm.name.removesuffix("e").upper()
+
+
+def _lower(flag: bool) -> str:
+    return "true" if flag else "false"
+
+
+ROLES = ("PROGRAMMER", "OPERATOR", "NONE", "LOCKED", "RESTRICTED")
+
+
+def set_role(pendant: Pendant, role: str) -> str:
+    """Of the user."""
+    if role.upper() not in ROLES:
+        return f"Failed setting user role: {role}"
+    pendant.role = role.upper()
+    return f"Setting user role: {role}"
+
+
+def set_operational(pendant: Pendant, mode: str) -> str:
+    """Take control of the operational mode."""
+    if mode.upper() not in ("MANUAL", "AUTOMATIC"):
+        return f"could not understand: set operational mode {mode}"
+    pendant.operational = mode.upper()
+    return f"Operational mode {pendant.operational} is set"
+
+
+def clear_operational(pendant: Pendant, _: str) -> str:
+    """Give control of the operational mode back; it stays what it is."""
+    now = pendant.operational
+    return f"No longer controlling the operational mode. Current operational mode: '{now}'."
+
+
+COMMANDS = (
+    Command("load installation", lambda _, f: f"Loading installation: {f}", (3, 2), remote=True),
+    Command("load", _load, remote=True),
+    Command("play", _play, remote=True),
+    Command("stop", _stop, remote=True),
+    Command("pause", _pause, remote=True),
+    Command("shutdown", _shutdown, remote=True),
+    Command("power on", _power_on, remote=True),
+    Command("power off", _power_off, remote=True),
+    Command("brake release", _brake_release, remote=True),
+    Command("unlock protective stop", _unlock, remote=True),
+    Command("restart safety", _restart_safety, (3, 7), (5, 1), remote=True),
+    Command("close safety popup", lambda _p, _: "closing safety popup", remote=True),
+    Command("close popup", _close_popup),
+    Command("popup", _popup),
+    Command("addToLog", _add_to_log),
+    Command("saveLog", save_log),
+    Command("generate flight report", flight_report, (3, 13), (5, 8)),
+    Command("generate support file", support_file, (3, 13), (5, 8)),
+    Command("running", lambda p, _: f"Program running: {_lower(p.running)}"),
+    Command("robotmode", lambda p, _: f"Robotmode: {p.machine.modes.robot.name}"),
+    Command("safetymode", lambda p, _: f"Safetymode: {p.machine.modes.safety.name}"),
+    Command(
+        "safetystatus",
+        lambda p, _: f"Safetystatus: {p.machine.modes.safety.name}",
+        None,
+        (5, 4),
+    ),
+    Command("programState", lambda p, _: f"{p.state} {p.name}"),
+    Command("get loaded program", _loaded),
+    Command("isProgramSaved", _is_saved),
+    Command("PolyscopeVersion", _polyscope_version),
+    Command("version", _version, None),
+    Command("get serial number", lambda p, _: p.machine.serial, (3, 12), (5, 6)),
+    Command("get robot model", _model, (3, 12), (5, 6)),
+    Command("is in remote control", lambda p, _: _lower(p.machine.modes.remote), None, (5, 6)),
+    Command("setUserRole", set_role, (3, 1), None),
+    Command("getUserRole", lambda p, _: p.role, (3, 1), None),
+    Command("set operational mode", set_operational, None),
+    Command("get operational mode", lambda p, _: p.operational, None, (5, 6)),
+    Command("clear operational mode", clear_operational, None),
+)
+"""Every command but `quit`, which belongs to the connection."""
+
+
+def command_of(line: str, series: Series) -> tuple[Command, str] | None:
+    """The command of a line and its argument; None when this software knows no such command.
+
+    The longest text wins (`load installation` before `load`); case does not matter.
+    """
+    for command in COMMANDS:
+        head, rest = line[: len(command.text)], line[len(command.text) :]
+        said = head.lower() == command.text.lower() and rest[:1] in ("", " ")
+        if said and series.at_least(command.cb3, command.e):
+            return command, rest.strip()
+    return None
+
+
+class IdleProgram:
+    """Stands for a program made on the pendant: it plays until it is stopped, and moves nothing.
+
+    Args:
+        name: Its file, without the extension.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    def begin(self, machine: Machine) -> None:
+        """See `Program`."""
+
+    def tick(self, machine: Machine) -> bool:
+        """See `Program`; it never ends by itself."""
+        return True
+
+    def end(self, machine: Machine) -> None:
+        """See `Program`."""
+
+
+def _cause(what: str) -> Callable[[Machine], bool]:
+    return lambda machine: machine.modes.cause(what)
+
+
+def _press_play(machine: Machine) -> bool:
+    machine.resume()
+    return machine.runtime is RuntimeState.PLAYING
+
+
+def _press_pause(machine: Machine) -> bool:
+    playing = machine.runtime is RuntimeState.PLAYING
+    machine.pause()
+    return playing
+
+
+def _press_stop(machine: Machine) -> bool:
+    machine.halt()
+    return True
+
+
+def _control(remote: bool) -> Callable[[Machine], bool]:
+    def choose(machine: Machine) -> bool:
+        machine.modes.remote = remote
+        return True
+
+    return choose
+
+
+PRESSES: Mapping[str, Callable[[Machine], bool]] = {
+    "unlock": _cause("unlock"),
+    "release_emergency_stop": _cause("release emergency stop"),
+    "restart_safety": _cause("restart safety"),
+    "power_on": _cause("power on"),
+    "brake_release": _cause("release brakes"),
+    "power_off": _cause("power off"),
+    "play": _press_play,
+    "pause": _press_pause,
+    "stop": _press_stop,
+    "remote": _control(True),
+    "local": _control(False),
+}
+"""What can be pressed; each says whether it did anything."""
+
+
+def pressed(machine: Machine, request: Mapping[str, Any]) -> dict[str, Any]:
+    """Press a button; what the controller is like right after.
+
+    Raises:
+        SpecError: There is no such button.
+        CommandRefused: It does nothing as things are.
+    """
+    what = request.get("press")
+    if not isinstance(what, str) or what not in PRESSES:
+        raise SpecError(f"pendant: press is {what!r}", hint=f"use one of {', '.join(PRESSES)}")
+    if not PRESSES[what](machine):
+        robot, safety = machine.modes.robot.name, machine.modes.safety.name
+        raise CommandRefused(
+            f"pendant: {what} does nothing now: robot mode {robot}, safety mode {safety}, "
+            f"program {machine.runtime.name}",
+            hint=_way_out(machine),
+        )
+    modes = machine.modes
+    return {"robot_mode": modes.robot.name, "safety_mode": modes.safety.name}
+
+
+def _way_out(machine: Machine) -> str:
+    safety = machine.modes.safety
+    if safety is SafetyMode.PROTECTIVE_STOP:
+        return f"unlock it {UNLOCK_AFTER_S:g} s of device time after it has stopped"
+    if safety in (SafetyMode.ROBOT_EMERGENCY_STOP, SafetyMode.SYSTEM_EMERGENCY_STOP):
+        return "press release_emergency_stop, then brake_release, which switches the arm on, too"
+    if safety is SafetyMode.SAFEGUARD_STOP:
+        return 'end it first: {"do": "clear"}'
+    if safety in (SafetyMode.FAULT, SafetyMode.VIOLATION):
+        return "press restart_safety and, 2 s of device time later, brake_release"
+    return "an arm that is off or idle needs brake_release, one that boots a second"
+
+
+CONTROL_LOOP = """
+def rtde_control_loop():
+  rtde_set_watchdog("input_int_register_0", 1, "pause")
+  write_output_integer_register(0, 1)
+  while True:
+    if read_input_integer_register(0) == 1:
+      x = read_input_float_register(0)
+      y = read_input_float_register(1)
+      z = read_input_float_register(2)
+      rx = read_input_float_register(3)
+      ry = read_input_float_register(4)
+      rz = read_input_float_register(5)
+      if x != 0 or y != 0 or z != 0 or rx != 0 or ry != 0 or rz != 0:
+        movel(p[x, y, z, rx, ry, rz], a=1.2, v=0.08)
+        write_output_integer_register(0, 0)
+        while read_input_integer_register(0) == 1:
+          sync()
+        end
+        write_output_integer_register(0, 1)
+      end
+    end
+    sync()
+  end
+end
+"""
+"""The robot's side of `example_control_loop.py`, which comes with UR's own RTDE client.
+
+Output integer 0 asks for a pose with 1 and says with 0 that it was reached; input integer 0 says
+with 1 that a pose is in the input doubles 0 to 5, and is the watchdog. Moves at 0.08 m/s.
+Source of this dialogue: RTDE_Python_Client_Library, `examples/rtde_control_loop.urp`.
+"""
+
+
+def disk_of(machine: Machine) -> Mapping[str, Callable[[], Program]]:
+    """File → what makes its program, for this machine."""
+    return {"rtde_control_loop.urp": lambda: program_of(CONTROL_LOOP, machine)}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from hil_mock_robot.fault_list import COUNT, FaultList, Number
+from hil_mock_robot.server.faults import COUNT, FaultList, Number
 
 KINDS: dict[str, tuple[str, ...]] = {
     "cut": ("for_s", "only"),

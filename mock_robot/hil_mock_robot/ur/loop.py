@@ -1,20 +1,30 @@
-"""One thread for everything: sockets are served between ticks, so nothing needs a lock."""
+"""The loop of the mock controller: one thread, sockets are served between ticks, no locks.
+
+`Loop` has the ports, `Conversations` the connections (`TcpLink`) and their sessions. `RealTime`,
+`FreeRun` and `LockStep` say when the next tick is due: with the wall clock, as fast as it goes, or
+when a client permits it.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import select
 import socket
-from collections.abc import Iterable
-from typing import Protocol
+import time
+from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
 
-from hil_mock_robot.ur.contracts import Service
-from hil_mock_robot.ur.conversations import Conversations
+from hil.core import PluginError
+from hil_mock_robot.server.loop import Mishaps
+from hil_mock_robot.ur.contracts import Service, Session
 from hil_mock_robot.ur.machine import Machine
-from hil_mock_robot.ur.side import SideService
-from hil_mock_robot.ur.sockets import listen
 from hil_mock_robot.ur.troubles import Troubles
-from hil_mock_robot.ur.witness import Witness
+
+if TYPE_CHECKING:
+    from hil_mock_robot.ur.side import SideService
+    from hil_mock_robot.ur.witness import Witness
 
 DEAF_S = 10.0
 """Wall time a client that is sent everything may leave it unread; it is hung up on then."""
@@ -178,3 +188,353 @@ class Loop:
             elif each in self.sessions:
                 self._talks.receive(each)
         self._talks.forget_closed()
+
+
+READ_BYTES = 65_536
+MOST_SESSIONS = 200
+
+
+class Conversations:
+    """Connections and their sessions; one that we cannot cope with is hung up on.
+
+    Args:
+        mishaps: Who hears of that.
+        witness: Writes down who comes, goes and says what.
+
+    Attributes:
+        sessions: Socket → its link and session.
+    """
+
+    def __init__(self, mishaps: Mishaps, witness: Witness | None) -> None:
+        self._mishaps, self._witness = mishaps, witness
+        self.sessions: dict[socket.socket, tuple[TcpLink, Session]] = {}
+
+    def accept(self, listening: socket.socket, service: Service) -> None:
+        """Somebody has connected."""
+        with contextlib.suppress(OSError):
+            connection, (peer, *_) = listening.accept()
+            if len(self.sessions) >= MOST_SESSIONS:
+                connection.close()
+                return
+            self._welcome(service, TcpLink(connection, peer, service.port))
+
+    def receive(self, connection: socket.socket) -> None:
+        """Something has come, or the client has hung up."""
+        link, session = self.sessions[connection]
+        try:
+            data = connection.recv(READ_BYTES)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        if not data:
+            link.close()
+            return
+        try:
+            if self._witness is not None:
+                self._witness.received(link, data)
+            session.received(data)
+        except Exception as error:
+            self._give_up(link, error)
+
+    def ticked(self) -> None:
+        """The controller has made a tick."""
+        for link, session in list(self.sessions.values()):
+            try:
+                session.ticked()
+            except Exception as error:
+                self._give_up(link, error)
+
+    def forget_closed(self) -> None:
+        """Part with those who are not connected any more."""
+        for connection in [s for s, (link, _) in self.sessions.items() if link.closed]:
+            link, session = self.sessions.pop(connection)
+            try:
+                session.hung_up()
+            except Exception as error:
+                self._give_up(link, error)
+            if self._witness is not None:
+                self._witness.disconnected(link)
+
+    def _welcome(self, service: Service, link: TcpLink) -> None:
+        if self._witness is not None:
+            self._witness.connected(link)
+        try:
+            self.sessions[link.socket] = (link, service.accept(link))
+        except Exception as error:
+            self._give_up(link, error)
+            if self._witness is not None:
+                self._witness.disconnected(link)
+
+    def _give_up(self, link: TcpLink, error: Exception) -> None:
+        """A mistake of ours: this client has to do without us, the others do not."""
+        link.close()
+        self._mishaps.met(error, f"a connection to port {link.port}")
+
+
+MOST_PENDING = 4_000_000
+"""Bytes that wait for a client that does not read; the connection is closed beyond that."""
+
+RTDE_PORT = 30004
+"""Every mock has it, whatever else it listens on."""
+
+
+class TcpLink:
+    """A non-blocking socket with a buffer; implements `Link`.
+
+    Args:
+        connection: The socket.
+        peer: Address of the client.
+        port: On which it came in.
+
+    Attributes:
+        blocked: Whether nothing gets through; it is kept meanwhile.
+    """
+
+    def __init__(self, connection: socket.socket, peer: str, port: int = 0) -> None:
+        connection.setblocking(False)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self.socket, self.peer, self.port = connection, peer, port
+        self.blocked = False
+        self.closed = False
+        self._waiting = bytearray()
+        self._read_at = time.monotonic()
+
+    @property
+    def pending(self) -> int:
+        """Bytes that wait for the client to read."""
+        return len(self._waiting)
+
+    @property
+    def deaf_s(self) -> float:
+        """Wall time for which the client has taken nothing of what waits."""
+        return time.monotonic() - self._read_at if self._waiting else 0.0
+
+    def send(self, data: bytes) -> None:
+        """Send, or keep what the client does not take yet."""
+        if self.closed:
+            return
+        if not self._waiting:
+            self._read_at = time.monotonic()
+        self._waiting += data
+        self.flush()
+        if len(self._waiting) > MOST_PENDING:
+            self.close()
+
+    def flush(self) -> None:
+        """Hand over what waits, as far as the client takes it."""
+        if not self._waiting or self.closed or self.blocked:
+            return
+        try:
+            sent = self.socket.send(self._waiting)
+        except BlockingIOError:
+            return
+        except OSError:
+            self.close()
+            return
+        del self._waiting[:sent]
+        self._read_at = time.monotonic()
+
+    def close(self) -> None:
+        """Hang up."""
+        if not self.closed:
+            self.closed = True
+            self.socket.close()
+
+
+def listen(address: str, port: int) -> socket.socket:
+    """An open port.
+
+    Raises:
+        PluginError: It is taken.
+    """
+    try:
+        listening = _bound(address, port)
+    except OSError as error:
+        raise PluginError(
+            f"cannot listen on {address}:{port}: {error.strerror}", hint=_elsewhere(port)
+        ) from error
+    listening.listen()
+    listening.setblocking(False)
+    return listening
+
+
+def _bound(address: str, port: int) -> socket.socket:
+    bound = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        bound.bind((address, port))
+    except OSError:
+        bound.close()
+        raise
+    return bound
+
+
+def _elsewhere(port: int) -> str:
+    for last in range(2, 255):
+        try:
+            for each in {port, RTDE_PORT}:
+                _bound(f"127.0.0.{last}", each).close()
+        except OSError:
+            continue
+        return (
+            "another mock or simulator runs there: end it, or use an address that is free, "
+            f"--address 127.0.0.{last}, also in the station"
+        )
+    return "another mock or simulator runs there: end it"
+
+
+SLIP_S = 0.05
+"""Wall time the schedule may be late before it is given up; what was missed is not caught up.
+
+Catching up lets device time race: half a second late at ten times the speed were five seconds that
+pass at once, in which no client can kick a watchdog or lead an arm.
+"""
+
+CLOSEST = 0.5
+"""Share of the time between ticks that passes at least after each. A tick that is late is caught up
+at twice the pace, not at once: some clients, such as UR's own without `--buffered`, drop all but
+the newest of the packages that they find waiting."""
+
+OVER_S = 10.0
+"""Wall time over which the pace is averaged [s]."""
+
+ALARMING = 0.95
+"""Below this share of the requested pace clients may run into time-outs: the operator is warned."""
+
+WARN_EVERY_S = 60.0
+"""Wall time between two such warnings [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Slip:
+    """Wall time that the schedule has just given up, because the computer was too slow for it.
+
+    Attributes:
+        behind_s: How much, this time [s].
+        total_s: How much since the start [s].
+        pace: Device time passed over device time requested, over the last `OVER_S`.
+    """
+
+    behind_s: float
+    total_s: float
+    pace: float
+
+
+class RealTime:
+    """Ticks on an absolute schedule, so that lateness does not add up.
+
+    Args:
+        tick_s: Device time of a tick.
+        factor: Device seconds per second of wall time.
+
+    Attributes:
+        patient: Accelerated time waits for clients; real time does not.
+        behind_s: Wall time given up since the start [s].
+        listeners: Called at each slip.
+    """
+
+    def __init__(self, tick_s: float, factor: float = 1.0) -> None:
+        self._tick_s = tick_s
+        self._due = self._not_before = time.monotonic()
+        self._slips: deque[tuple[float, float]] = deque()
+        self.behind_s = 0.0
+        self.listeners: list[Callable[[Slip], object]] = []
+        self.change(factor)
+
+    @property
+    def pace(self) -> float:
+        """Device time passed over device time requested, over the last `OVER_S`; 1 keeps up."""
+        now = time.monotonic()
+        while self._slips and self._slips[0][0] < now - OVER_S:
+            self._slips.popleft()
+        lost_s = sum(behind for _, behind in self._slips)
+        return max(0.0, 1.0 - lost_s / OVER_S)
+
+    def change(self, factor: float) -> None:
+        """Go on at another speed."""
+        self._spacing_s = self._tick_s / factor
+        self.patient = factor > 1.0
+
+    def wait_s(self) -> float | None:
+        """See `Pacer`."""
+        return max(0.0, max(self._due, self._not_before) - time.monotonic())
+
+    def ticked(self) -> None:
+        """See `Pacer`."""
+        self._due += self._spacing_s
+        now = time.monotonic()
+        self._not_before = now + CLOSEST * self._spacing_s
+        if now - self._due > SLIP_S:
+            self._slip(now)
+
+    def _slip(self, now: float) -> None:
+        behind, self._due = now - self._due, now
+        self.behind_s += behind
+        self._slips.append((now, behind))
+        slip = Slip(behind, self.behind_s, self.pace)
+        for listener in self.listeners:
+            listener(slip)
+
+
+class SlipWarning:
+    """Warns the operator of a computer that is too slow, at most once a minute.
+
+    Args:
+        say: Prints one line.
+    """
+
+    def __init__(self, say: Callable[[str], object]) -> None:
+        self._say = say
+        self._next = time.monotonic()
+
+    def slipped(self, slip: Slip) -> None:
+        """Print a line if the pace is alarming and the last line is long enough ago."""
+        now = time.monotonic()
+        if slip.pace >= ALARMING or now < self._next:
+            return
+        self._next = now + WARN_EVERY_S
+        self._say(
+            f"behind the wall clock: device time passes at {slip.pace:.0%} of its pace, "
+            f"{slip.total_s:.1f} s were given up since the start. This computer is too busy: "
+            "time-outs of clients are then not protocol errors; close other programs, or use "
+            "--speed 0.5"
+        )
+
+
+class FreeRun:
+    """As fast as it goes; clients that must not lose anything hold it up."""
+
+    patient = True
+
+    def wait_s(self) -> float | None:
+        """See `Pacer`."""
+        return 0.0
+
+    def ticked(self) -> None:
+        """See `Pacer`."""
+
+
+class LockStep:
+    """No tick without a permit: results do not depend on how busy the computer is.
+
+    Attributes:
+        permitted: Ticks that may still be made.
+    """
+
+    patient = True
+
+    def __init__(self) -> None:
+        self.permitted = 0
+
+    def allow(self, ticks: int) -> None:
+        """Let so many more ticks pass."""
+        self.permitted += ticks
+
+    def wait_s(self) -> float | None:
+        """See `Pacer`."""
+        return 0.0 if self.permitted > 0 else None
+
+    def ticked(self) -> None:
+        """See `Pacer`."""
+        self.permitted -= 1

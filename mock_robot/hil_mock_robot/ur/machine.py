@@ -1,4 +1,10 @@
-"""The controller itself: one tick after the other, without sockets and without wall time."""
+"""The controller itself: one tick after the other, without sockets and without wall time.
+
+`Machine` has the arm, the modes, the program that plays and the motion that moves the arm; whatever
+clients see is in its outputs. `HeatGuard` stops an arm that is too hot. Its limits and codes:
+Universal Robots, error codes C62A1 (joint temperature high) and C62A11 (joint temperature, shut
+down); the real arm switches the joint off then, here that is a protective stop.
+"""
 
 from __future__ import annotations
 
@@ -9,18 +15,15 @@ from typing import Any
 import numpy as np
 
 from hil.core import FloatArray
-from hil_mock_robot.mishaps import Mishaps
+from hil_mock_robot.server.loop import Mishaps
 from hil_mock_robot.ur.body import Body, Reading
-from hil_mock_robot.ur.cartesian import Cartesian
 from hil_mock_robot.ur.contracts import NOWHERE, Motion, Place, Program, Setpoint
-from hil_mock_robot.ur.heat import HeatGuard
-from hil_mock_robot.ur.limits import MotionImpossible, leaving, out_of
-from hil_mock_robot.ur.line import Line
 from hil_mock_robot.ur.modes import Modes, RobotMode, RuntimeState
-from hil_mock_robot.ur.publishing import Publishing
-from hil_mock_robot.ur.series import Series
-from hil_mock_robot.ur.stopping import StopJoints
-from hil_mock_robot.ur.variables import Values, inputs_of, outputs_of
+from hil_mock_robot.ur.motion import StopJoints
+from hil_mock_robot.ur.outputs import Cartesian, Publishing
+from hil_mock_robot.ur.routes import MotionImpossible, leaving, out_of
+from hil_mock_robot.ur.variables import Series, Values, inputs_of, outputs_of
+from hil_mock_robot.ur.wire import Line
 
 PROTECTIVE_STOP_RAD_S2 = 8.0
 EMERGENCY_STOP_RAD_S2 = 16.0
@@ -173,7 +176,7 @@ class Machine:
         """Stop because something is wrong.
 
         Args:
-            code: A code of `hil_mock_robot.arm.FAULTS`, or UR's own.
+            code: A code of `plant.records.FAULTS`, or UR's own.
             held: The servo still does what it is told; else the mechanical brakes do it.
             text: In words, where the code does not say it.
         """
@@ -314,3 +317,33 @@ class Machine:
         self.motion = None
         self.body.brake()
         self.setpoint = self.body.setpoint
+
+
+HIGH_C, SHUT_DOWN_C = 80.0, 85.0
+
+COOLED_K = 2.0
+"""So far below a limit it may be exceeded, and told, once more."""
+
+CODE = 62
+
+
+class HeatGuard:
+    """Looks at the measured temperatures once a tick."""
+
+    def __init__(self) -> None:
+        self._high = False
+
+    def look(self, machine: Machine) -> None:
+        """Warn once, and stop as long as a joint is too hot."""
+        celsius = machine.reading.temperature
+        hottest = float(celsius.max())
+        if hottest < HIGH_C - COOLED_K:
+            self._high = False
+        elif hottest >= HIGH_C and not self._high:
+            self._high = True
+            joint = int(celsius.argmax()) + 1
+            machine.tell("text", "C62A1", f"joint {joint}: temperature high, {hottest:.0f} °C")
+        if hottest >= SHUT_DOWN_C and machine.modes.running:
+            joint = int(celsius.argmax()) + 1
+            machine.protective_stop(CODE)
+            machine.tell("text", "C62A11", f"joint {joint}: too hot, {hottest:.0f} °C")

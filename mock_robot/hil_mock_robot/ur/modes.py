@@ -1,35 +1,123 @@
-"""Power and safety of the controller: which mode it is in."""
+"""Power and safety modes of the controller, and the table of what leads from one to another."""
 
 from __future__ import annotations
 
-from hil_mock_robot.ur.mode_codes import (
-    JOINT_BOOTING,
-    JOINT_FAULT,
-    JOINT_IDLE,
-    JOINT_POWER_OFF,
-    JOINT_RUNNING,
-    SAFE,
-    SAFETY_BITS,
-    RobotMode,
-    RuntimeState,
-    SafetyMode,
-)
-from hil_mock_robot.ur.transitions import TRANSITIONS, UNLOCK_AFTER_S, Path, Transition
+from dataclasses import dataclass
+from enum import IntEnum
 
-__all__ = [
-    "JOINT_BOOTING",
-    "JOINT_FAULT",
-    "JOINT_IDLE",
-    "JOINT_POWER_OFF",
-    "JOINT_RUNNING",
-    "SAFE",
-    "SAFETY_BITS",
-    "UNLOCK_AFTER_S",
-    "Modes",
-    "RobotMode",
-    "RuntimeState",
-    "SafetyMode",
-]
+
+class RobotMode(IntEnum):
+    """RTDE `robot_mode`."""
+
+    NO_CONTROLLER = -1
+    DISCONNECTED = 0
+    CONFIRM_SAFETY = 1
+    BOOTING = 2
+    POWER_OFF = 3
+    POWER_ON = 4
+    IDLE = 5
+    BACKDRIVE = 6
+    RUNNING = 7
+    UPDATING_FIRMWARE = 8
+
+
+Path = tuple[tuple[RobotMode | None, float], ...]
+"""Robot modes one after the other, and the seconds in each; the last one stays."""
+
+
+class SafetyMode(IntEnum):
+    """RTDE `safety_mode`."""
+
+    NORMAL = 1
+    REDUCED = 2
+    PROTECTIVE_STOP = 3
+    RECOVERY = 4
+    SAFEGUARD_STOP = 5
+    SYSTEM_EMERGENCY_STOP = 6
+    ROBOT_EMERGENCY_STOP = 7
+    VIOLATION = 8
+    FAULT = 9
+
+
+SAFE = (SafetyMode.NORMAL, SafetyMode.REDUCED)
+"""Modes in which the arm may move."""
+
+
+@dataclass(frozen=True, slots=True)
+class Transition:
+    """What one cause does.
+
+    Attributes:
+        cause: What happens, or what is asked for.
+        robot, safety: Modes in which this row applies.
+        path: Robot modes that follow; empty when the robot mode does not change.
+        becomes: Safety mode afterwards, None for the same.
+        after_s: So long the safety mode must have lasted.
+    """
+
+    cause: str
+    robot: tuple[RobotMode, ...]
+    safety: tuple[SafetyMode, ...]
+    path: Path = ()
+    becomes: SafetyMode | None = None
+    after_s: float = 0.0
+
+
+BOOTING_S, POWERING_S, RELEASING_S = 0.6, 0.4, 0.5
+_UP: Path = ((RobotMode.BOOTING, BOOTING_S), (RobotMode.POWER_ON, POWERING_S))
+_IDLE: Path = ((RobotMode.IDLE, 0.0),)
+_RELEASE: Path = ((RobotMode.IDLE, RELEASING_S), (RobotMode.RUNNING, 0.0))
+ANY = tuple(RobotMode)
+_OFF: Path = ((RobotMode.POWER_OFF, 0.0),)
+UNLOCK_AFTER_S = 5.0
+STOPPED = (SafetyMode.PROTECTIVE_STOP, SafetyMode.SAFEGUARD_STOP, SafetyMode.RECOVERY)
+Stay = None
+
+POWER_CUT_S = 0.5
+"""A category 1 stop: the servo brakes along the path, then the power is gone."""
+
+_CUT: Path = ((Stay, POWER_CUT_S), *_OFF)
+EMERGENCY = (SafetyMode.ROBOT_EMERGENCY_STOP, SafetyMode.SYSTEM_EMERGENCY_STOP)
+BROKEN = (SafetyMode.VIOLATION, SafetyMode.FAULT)
+RESTARTING_S = 2.0
+
+TRANSITIONS = (
+    Transition("power on", (RobotMode.POWER_OFF,), SAFE, (*_UP, *_IDLE)),
+    Transition("release brakes", (RobotMode.IDLE,), SAFE, _RELEASE),
+    Transition("release brakes", (RobotMode.POWER_OFF,), SAFE, (*_UP, *_RELEASE)),
+    Transition("power off", ANY, tuple(SafetyMode), _OFF),
+    Transition("reduce", ANY, (SafetyMode.NORMAL,), (), SafetyMode.REDUCED),
+    Transition("end reduction", ANY, (SafetyMode.REDUCED,), (), SafetyMode.NORMAL),
+    Transition(
+        "protective stop",
+        ANY,
+        (*SAFE, SafetyMode.SAFEGUARD_STOP),
+        (),
+        SafetyMode.PROTECTIVE_STOP,
+    ),
+    Transition("unlock", ANY, (SafetyMode.PROTECTIVE_STOP,), (), SafetyMode.NORMAL, UNLOCK_AFTER_S),
+    Transition("safeguard stop", ANY, SAFE, (), SafetyMode.SAFEGUARD_STOP),
+    Transition("end safeguard stop", ANY, (SafetyMode.SAFEGUARD_STOP,), (), SafetyMode.NORMAL),
+    Transition("emergency stop", ANY, (*SAFE, *STOPPED), _CUT, SafetyMode.ROBOT_EMERGENCY_STOP),
+    Transition(
+        "system emergency stop", ANY, (*SAFE, *STOPPED), _CUT, SafetyMode.SYSTEM_EMERGENCY_STOP
+    ),
+    Transition("release emergency stop", ANY, EMERGENCY, _OFF, SafetyMode.NORMAL),
+    Transition("violation", ANY, (*SAFE, *STOPPED), _CUT, SafetyMode.VIOLATION),
+    Transition("fault", ANY, (*SAFE, *STOPPED, *EMERGENCY, *BROKEN), _CUT, SafetyMode.FAULT),
+    Transition(
+        "restart safety",
+        ANY,
+        (*SAFE, *STOPPED, *BROKEN),
+        ((RobotMode.BOOTING, RESTARTING_S), *_OFF),
+        SafetyMode.NORMAL,
+    ),
+)
+"""Everything that leads from one mode to another; whatever has no row here is refused.
+
+Brakes that are released while the arm is off switch it on first (ROS driver, `brake_release`).
+Durations are this project's: real arms take several seconds.
+"""
 
 
 class Modes:
@@ -135,3 +223,31 @@ class Modes:
         if mode is not None:
             self.robot = mode
         self._ahead = tuple(ahead)
+
+
+class RuntimeState(IntEnum):
+    """RTDE `runtime_state`."""
+
+    STOPPING = 0
+    STOPPED = 1
+    PLAYING = 2
+    PAUSING = 3
+    PAUSED = 4
+    RESUMING = 5
+
+
+JOINT_RUNNING, JOINT_IDLE, JOINT_POWER_OFF, JOINT_BOOTING, JOINT_FAULT = 253, 255, 239, 247, 252
+"""RTDE `joint_mode`."""
+
+SAFETY_BITS = {
+    SafetyMode.NORMAL: 1 << 0,
+    SafetyMode.REDUCED: 1 << 1,
+    SafetyMode.PROTECTIVE_STOP: 1 << 2 | 1 << 10,
+    SafetyMode.RECOVERY: 1 << 3,
+    SafetyMode.SAFEGUARD_STOP: 1 << 4 | 1 << 10,
+    SafetyMode.SYSTEM_EMERGENCY_STOP: 1 << 5 | 1 << 7 | 1 << 10,
+    SafetyMode.ROBOT_EMERGENCY_STOP: 1 << 6 | 1 << 7 | 1 << 10,
+    SafetyMode.VIOLATION: 1 << 8 | 1 << 10,
+    SafetyMode.FAULT: 1 << 9 | 1 << 10,
+}
+"""RTDE `safety_status_bits`."""

@@ -11,9 +11,9 @@ import numpy as np
 
 from hil.arms import ArmDescription
 from hil.core import FloatArray, SpecError
-from hil_mock_robot.command_line import WithDefaults
-from hil_mock_robot.ur.series import CB3, E_SERIES
+from hil_mock_robot.server.options import WithDefaults
 from hil_mock_robot.ur.telling import add_tell
+from hil_mock_robot.ur.variables import CB3, E_SERIES
 
 OWN_COMMAND = "python -m hil_mock_robot ur"
 UPRIGHT_DEG = (0.0, -90.0, 0.0, -90.0, 0.0, 0.0)

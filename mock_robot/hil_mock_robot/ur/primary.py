@@ -1,30 +1,39 @@
-"""The primary and secondary interface: the robot state at 10 Hz, messages, programs in."""
+"""The primary and secondary interface: the robot state at 10 Hz, messages, programs in.
+
+`state_packet` is one packet of sub-packages, the `…_message` functions are single messages; all are
+big-endian, and a text reaches to the end of its message.
+
+Source: Universal Robots, "Primary and Secondary Interfaces", robot state message of 3.15 and 5.10,
+messages to clients; sizes as in a state packet of software 5.8 (1386 bytes, tests of UR's client
+library). CB3: a UR10 of 3.5.3 sends 1350 (python-urx issue 65), which is this without what is the
+tool's in 11 and 12, and without the last byte of the master board, which that library reads on
+both series.
+"""
 
 from __future__ import annotations
 
-from hil_mock_robot.arm import FAULTS, PROTECTIVE_STOP, RUNAWAY
+import struct
+import time
+from collections.abc import Iterator
+from enum import IntEnum
+from functools import cache
+
+from hil.arms import ArmDescription
+from hil_mock_robot.plant.records import FAULTS, PROTECTIVE_STOP, RUNAWAY
 from hil_mock_robot.ur.contracts import Link
 from hil_mock_robot.ur.inbox import ScriptInbox
 from hil_mock_robot.ur.machine import Event, Machine
-from hil_mock_robot.ur.primary_messages import (
-    Level,
-    error_message,
-    exception_message,
-    greeting,
-    key_message,
-    popup_message,
-    safety_mode_message,
-    text_message,
-)
-from hil_mock_robot.ur.primary_state import state_packet
+from hil_mock_robot.ur.modes import RobotMode, RuntimeState, SafetyMode
+from hil_mock_robot.ur.variables import Series
 
 PRIMARY, SECONDARY = 30001, 30002
 RATE_HZ = 10
+
 MOST_PENDING = 200_000
 """Bytes that wait for a client that does not read; messages are dropped whole beyond that."""
 
 OWN_CODES = 10
-"""Below that, a code is one of `hil_mock_robot.arm.FAULTS`; from there on it is UR's own C…."""
+"""Below that, a code is one of `plant.records.FAULTS`; from there on it is UR's own C…."""
 
 ERROR_CODES = {1: 153, 2: 157, RUNAWAY: 153, PROTECTIVE_STOP: 158}
 """Fault → C153: position deviates from path, C157: a joint collides, C158: the arm does."""
@@ -147,3 +156,242 @@ def _error_messages(event: Event, now_s: float) -> list[bytes]:
     if event.code:
         told.append(error_message(event.code, Level.FAULT, event.text, now_s))
     return told
+
+
+ROBOT_MESSAGE = 20
+NAME = b"URControl"
+
+UNTIMED = 0xFFFFFFFFFFFFFFFF
+"""Time of what is told on connecting: clients that look for a packet by its first bytes, such as
+python-urx, take a real time for one now and then."""
+
+
+class Source(IntEnum):
+    """Who a message is from."""
+
+    ROBOT_INTERFACE = -2
+    RT_MACHINE = -3
+    SAFETY = 20
+    CONTROLLER = 7
+    GUI = -5
+
+
+class Level(IntEnum):
+    """How bad an error code is."""
+
+    INFO = 1
+    WARNING = 2
+    VIOLATION = 3
+    FAULT = 4
+
+
+def message(
+    kind: int, body: bytes, now_s: float | None, source: Source = Source.ROBOT_INTERFACE
+) -> bytes:
+    """A robot message: size, type, time [µs], source, kind of message, body."""
+    time_us = UNTIMED if now_s is None else round(now_s * 1e6)
+    head = struct.pack(">BQbb", ROBOT_MESSAGE, time_us, source, kind)
+    return struct.pack(">i", 4 + len(head) + len(body)) + head + body
+
+
+def text_message(text: str, now_s: float) -> bytes:
+    """A line for the log (kind 0)."""
+    return message(0, text.encode(), now_s, Source.RT_MACHINE)
+
+
+def popup_message(title: str, text: str, now_s: float) -> bytes:
+    """A popup that nobody has to answer (kind 2)."""
+    name = title.encode()[:255]
+    body = struct.pack(">II???B", 0, 0, False, False, False, len(name))
+    return message(2, body + name + text.encode(), now_s, Source.RT_MACHINE)
+
+
+def greeting(series: Series) -> bytes:
+    """What a client is told on connecting: the version (kind 3), and what UR alone reads (12).
+
+    As controllers and URSim of 3.10, 5.12 and 5.13 do: no time, no build number.
+    """
+    return _version(series) + message(12, struct.pack(">iiB", 0, 0, 1), None)
+
+
+def _version(series: Series) -> bytes:
+    major, minor, bugfix, _ = series.version
+    date = time.strftime("%d-%m-%Y, %H:%M:%S", time.strptime(series.date, "%b %d %Y"))
+    body = struct.pack(">b", len(NAME)) + NAME + struct.pack(">BBii", major, minor, bugfix, 0)
+    return message(3, body + date.encode(), None)
+
+
+def safety_mode_message(mode: int, now_s: float) -> bytes:
+    """The safety mode has changed (kind 5)."""
+    return message(5, struct.pack(">iiBII", 0, 0, mode, 0, 0), now_s, Source.SAFETY)
+
+
+def error_message(code: int, level: Level, text: str, now_s: float) -> bytes:
+    """An error code C… (kind 6)."""
+    body = struct.pack(">iiiII", code, 0, level, 0, 0)
+    return message(6, body + text.encode(), now_s, Source.CONTROLLER)
+
+
+def key_message(title: str, text: str, now_s: float) -> bytes:
+    """Something a client may wait for (kind 7)."""
+    name = title.encode()[:255]
+    body = struct.pack(">iiB", 0, 0, len(name))
+    return message(7, body + name + text.encode(), now_s)
+
+
+def exception_message(text: str, now_s: float, line: int = 1, column: int = 1) -> bytes:
+    """The program has failed (kind 10)."""
+    body = struct.pack(">II", line, column) + text.encode()
+    return message(10, body, now_s, Source.RT_MACHINE)
+
+
+ROBOT_STATE = 16
+EMERGENCY = (SafetyMode.ROBOT_EMERGENCY_STOP, SafetyMode.SYSTEM_EMERGENCY_STOP)
+PROTECTIVE = (SafetyMode.PROTECTIVE_STOP, SafetyMode.SAFEGUARD_STOP)
+BOX_C, SUPPLY_V = 24.0, 48.0
+AUTOMATIC, PRESSED = 1, 1
+TOOL_BAUD = 115_200
+
+
+def state_packet(machine: Machine) -> bytes:
+    """Everything that is published at 10 Hz."""
+    parts = b"".join(
+        struct.pack(">IB", 5 + len(body), kind) + body for kind, body in _parts(machine)
+    )
+    return struct.pack(">iB", 5 + len(parts), ROBOT_STATE) + parts
+
+
+def _parts(machine: Machine) -> Iterator[tuple[int, bytes]]:
+    """Type and content of the sub-packages, in the order of the real ones."""
+    yield 0, _robot_mode(machine)
+    yield 1, _joints(machine)
+    yield 4, _cartesian(machine)
+    yield 5, kinematics(machine.body.arm)
+    yield 9, bytes(48)  # calibration data, for UR's own software only
+    yield 3, _master_board(machine)
+    yield 2, _tool(machine)
+    yield 6, configuration(machine.body.arm, machine.series)
+    yield 7, _force_mode(machine)
+    yield 8, bytes((0, 1, 0, 1)) if machine.series.is_e else bytes((0, 1, 0))
+    yield 10, bytes(38)  # safety data, for UR's own software only
+    if not machine.series.is_e:
+        return
+    yield 11, struct.pack(">?iiiff", False, TOOL_BAUD, 0, 1, 1.5, 3.5)
+    yield 12, bytes((0, 1, 1))
+
+
+def _robot_mode(machine: Machine) -> bytes:
+    modes, out = machine.modes, machine.outputs
+    powered = modes.robot >= RobotMode.POWER_ON
+    return struct.pack(
+        ">Q7?BB3dB",
+        round(machine.now_s * 1e6),
+        True,
+        modes.robot is RobotMode.RUNNING,
+        powered,
+        modes.safety in EMERGENCY,
+        modes.safety in PROTECTIVE,
+        machine.runtime is RuntimeState.PLAYING,
+        machine.runtime is RuntimeState.PAUSED,
+        int(modes.robot) & 0xFF,
+        0,
+        out["target_speed_fraction"],
+        out["speed_scaling"],
+        1.0,
+        0,
+    )
+
+
+def _joints(machine: Machine) -> bytes:
+    out = machine.outputs
+    columns = zip(
+        out["actual_q"],
+        out["target_q"],
+        out["actual_qd"],
+        out["actual_current"],
+        out["actual_joint_voltage"],
+        out["joint_temperatures"],
+        (0.0,) * 6,
+        out["joint_mode"],
+        strict=True,
+    )
+    return b"".join(struct.pack(">3d4fB", *joint) for joint in columns)
+
+
+def _cartesian(machine: Machine) -> bytes:
+    return struct.pack(">12d", *machine.outputs["actual_TCP_pose"], *machine.tcp)
+
+
+def _master_board(machine: Machine) -> bytes:
+    out, safety = machine.outputs, machine.modes.safety
+    types = out["analog_io_types"]
+    body = struct.pack(
+        ">IIBBddBBddffff",
+        out["actual_digital_input_bits"] & 0xFFFFFFFF,
+        out["actual_digital_output_bits"] & 0xFFFFFFFF,
+        types & 1,
+        types >> 1 & 1,
+        out["standard_analog_input0"],
+        out["standard_analog_input1"],
+        types >> 2 & 1,
+        types >> 3 & 1,
+        out["standard_analog_output0"],
+        out["standard_analog_output1"],
+        BOX_C,
+        SUPPLY_V,
+        out["actual_robot_current"],
+        out["io_current"],
+    )
+    reduced = safety is SafetyMode.REDUCED
+    return body + struct.pack(">B??IBBB", int(safety), reduced, False, 0, AUTOMATIC, PRESSED, 0)
+
+
+def _tool(machine: Machine) -> bytes:
+    out = machine.outputs
+    types = out["tool_analog_input_types"]
+    return struct.pack(
+        ">BBddfBffB",
+        types & 1,
+        types >> 1 & 1,
+        out["tool_analog_input0"],
+        out["tool_analog_input1"],
+        SUPPLY_V,
+        out["tool_output_voltage"] & 0xFF,
+        out["tool_output_current"],
+        out["tool_temperature"],
+        out["tool_mode"] & 0xFF,
+    )
+
+
+def _force_mode(machine: Machine) -> bytes:
+    return struct.pack(">7d", *machine.outputs["actual_TCP_force"], 0.0)
+
+
+UNCALIBRATED = 0xFFFFFFFF
+
+DEFAULTS = (1.0472, 1.3963, 0.25, 1.2, 0.25)
+"""Joint speed [rad/s], joint acceleration, tool speed [m/s], tool acceleration, radius [m]."""
+
+ROBOT_TYPES = {"ur5": 1, "ur10": 2, "ur3": 3}
+BOARD_E, BOX_E, SUBTYPE_E = 6, 4, 3
+BOARD_CB3, BOX_CB3, SUBTYPE_CB3 = 5, 2, 1
+
+
+@cache
+def kinematics(arm: ArmDescription) -> bytes:
+    """Sub-package 5: DH parameters by which the controller computes, here the published ones."""
+    a, alpha, d, theta = arm.dh.T.tolist()
+    return struct.pack(">6I24dI", *(UNCALIBRATED,) * 6, *theta, *a, *d, *alpha, 0)
+
+
+@cache
+def configuration(arm: ArmDescription, series: Series) -> bytes:
+    """Sub-package 6: limits, defaults, DH parameters, what hardware it is."""
+    a, alpha, d, theta = arm.dh.T.tolist()
+    ranges = [each for pair in zip(arm.q_min, arm.q_max, strict=True) for each in pair]
+    motion = [each for pair in zip(arm.qd_max, arm.qdd_max, strict=True) for each in pair]
+    numbers = struct.pack(">53d", *ranges, *motion, *DEFAULTS, *a, *d, *alpha, *theta)
+    kind = ROBOT_TYPES[arm.name.removesuffix("e")]
+    if series.is_e:
+        return numbers + struct.pack(">4i", BOARD_E, BOX_E, kind, SUBTYPE_E)
+    return numbers + struct.pack(">4i", BOARD_CB3, BOX_CB3, kind, SUBTYPE_CB3)

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from hil_mock_robot.ur.contracts import Link
 from hil_mock_robot.ur.inbox import ScriptInbox
 from hil_mock_robot.ur.machine import Machine
-from hil_mock_robot.ur.series import Series
-from hil_mock_robot.ur.variables import Values
+from hil_mock_robot.ur.variables import Series, Values
 
 BASE: tuple[tuple[str, int], ...] = (
     ("timestamp", 1),

@@ -10,7 +10,7 @@ import numpy as np
 
 from hil.core import CommandRefused
 from hil_mock_robot.ur.kinematics import pose_of
-from hil_mock_robot.ur.moving import is_steady, joint_torques, joints_of, pose_at, within_limits
+from hil_mock_robot.ur.program import is_steady, joint_torques, joints_of, pose_at, within_limits
 from hil_mock_robot.ur.script_arguments import Answer, Given, Named, bound
 from hil_mock_robot.ur.script_maths import MATHS
 from hil_mock_robot.ur.script_poses import POSES

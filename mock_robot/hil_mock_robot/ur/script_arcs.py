@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from hil.core import FloatArray
-from hil_mock_robot.ur.motions import Leg
-from hil_mock_robot.ur.poses import compose, frame_of, rotation_vector
+from hil_mock_robot.ur.kinematics import compose, frame_of, rotation_vector
+from hil_mock_robot.ur.routes import Leg
 from hil_mock_robot.ur.script_poses import between
 
 STEP_RAD = math.radians(6.0)

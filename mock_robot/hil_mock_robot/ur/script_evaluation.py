@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from hil.core import CommandRefused
 from hil_mock_robot.ur.machine import Machine
-from hil_mock_robot.ur.registers import Registers
+from hil_mock_robot.ur.motion import ServoJ
+from hil_mock_robot.ur.program import IMPATIENT, Registers, Steps, Threaded
 from hil_mock_robot.ur.script_functions import ACTIONS, ANSWERS
 from hil_mock_robot.ur.script_values import (
     Pose,
@@ -22,8 +23,6 @@ from hil_mock_robot.ur.script_values import (
     listed,
     truth,
 )
-from hil_mock_robot.ur.servoing import ServoJ
-from hil_mock_robot.ur.threaded import IMPATIENT, Steps, Threaded
 
 if TYPE_CHECKING:
     from hil_mock_robot.ur.script_parsing import Statement

@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hil.core import CommandRefused
+from hil_mock_robot.ur.program import Steps, set_payload, set_tcp, set_watchdog
 from hil_mock_robot.ur.script_answers import ANSWERS as ANSWERS
 from hil_mock_robot.ur.script_arguments import Given, Named, bound
 from hil_mock_robot.ur.script_motions import MOTIONS
 from hil_mock_robot.ur.script_values import integer, joined, number, shown, six, truth
-from hil_mock_robot.ur.settings import set_payload, set_tcp, set_watchdog
-from hil_mock_robot.ur.threaded import Steps
 
 if TYPE_CHECKING:
     from hil_mock_robot.ur.script_evaluation import Evaluator

@@ -9,14 +9,12 @@ import numpy as np
 
 from hil.core import CommandRefused
 from hil_mock_robot.ur.machine import Machine
-from hil_mock_robot.ur.motions import Leg
-from hil_mock_robot.ur.moving import pose_at, speed_motion, stop_joints, stop_line
-from hil_mock_robot.ur.path import follow
+from hil_mock_robot.ur.motion import ServoJ
+from hil_mock_robot.ur.program import Steps, follow, pose_at, speed_motion, stop_joints, stop_line
+from hil_mock_robot.ur.routes import Leg
 from hil_mock_robot.ur.script_arcs import arc_legs
 from hil_mock_robot.ur.script_arguments import Given, Named, bound
 from hil_mock_robot.ur.script_values import Pose, integer, number, six
-from hil_mock_robot.ur.servoing import ServoJ
-from hil_mock_robot.ur.threaded import Steps
 
 if TYPE_CHECKING:
     from hil_mock_robot.ur.script_evaluation import Evaluator

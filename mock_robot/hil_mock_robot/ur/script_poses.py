@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from hil.core import CommandRefused
-from hil_mock_robot.ur.poses import (
+from hil_mock_robot.ur.kinematics import (
     Frame,
     compose,
     frame_of,

@@ -10,8 +10,8 @@ import ast
 from collections.abc import Generator, Sequence
 
 from hil.core import CommandRefused
-from hil_mock_robot.ur.motions import Leg
-from hil_mock_robot.ur.path import follow
+from hil_mock_robot.ur.program import Steps, follow
+from hil_mock_robot.ur.routes import Leg
 from hil_mock_robot.ur.script_errors import ScriptError
 from hil_mock_robot.ur.script_evaluation import Evaluation, Evaluator, name_of
 from hil_mock_robot.ur.script_functions import ACTIONS
@@ -26,7 +26,6 @@ from hil_mock_robot.ur.script_values import (
     listed,
     truth,
 )
-from hil_mock_robot.ur.threaded import Steps
 
 DEEPEST_CALL = 30
 

@@ -10,7 +10,7 @@ from hil.core import CommandRefused
 from hil_mock_robot.ur.contracts import Program
 from hil_mock_robot.ur.control_script import ControlScript
 from hil_mock_robot.ur.machine import Machine
-from hil_mock_robot.ur.motions import Leg
+from hil_mock_robot.ur.routes import Leg
 from hil_mock_robot.ur.script_errors import ScriptError, place_of
 from hil_mock_robot.ur.script_evaluation import TOO_DEEP
 from hil_mock_robot.ur.script_motions import MOVES, leg_of

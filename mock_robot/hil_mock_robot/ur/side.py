@@ -11,11 +11,11 @@ from collections.abc import Callable
 from typing import Any
 
 from hil.core import CommandRefused, HilError, SpecError
-from hil_mock_robot.side_requests import Request, payload_in, torque_in
+from hil_mock_robot.server.side_channel import Request, payload_in, torque_in
 from hil_mock_robot.ur.contracts import Link
+from hil_mock_robot.ur.dashboard import pressed
+from hil_mock_robot.ur.loop import LockStep, RealTime
 from hil_mock_robot.ur.machine import Machine
-from hil_mock_robot.ur.pacing import LockStep, RealTime
-from hil_mock_robot.ur.presses import pressed
 from hil_mock_robot.ur.side_requests import factor_in, ticks_in, truth_of
 from hil_mock_robot.ur.troubles import Troubles
 

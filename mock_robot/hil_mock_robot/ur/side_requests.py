@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from hil.core import SpecError
-from hil_mock_robot.command_line import LEAST_FACTOR, MOST_FACTOR
-from hil_mock_robot.options import numbers_of
-from hil_mock_robot.side_requests import Request, listed
+from hil_mock_robot.server.options import LEAST_FACTOR, MOST_FACTOR, numbers_of
+from hil_mock_robot.server.side_channel import Request, listed
 from hil_mock_robot.ur.machine import Machine
 
 MOST_TICKS = 10_000_000

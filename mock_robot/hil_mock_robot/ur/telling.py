@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from hil.core import CommandRefused, RobotConnectionError
-from hil_mock_robot import side_requests
+from hil_mock_robot.server import side_channel
 
 ANSWER_S = 60.0
 """How long an answer may take: a long step of a mock in lock-step takes a while [s]."""
@@ -54,7 +54,7 @@ def request_of(do: str, more: Sequence[str]) -> dict[str, Any]:
     Raises:
         SpecError: A word has no key.
     """
-    return side_requests.request_of(do, more, MAIN_KEYS)
+    return side_channel.request_of(do, more, MAIN_KEYS)
 
 
 def tell(address: str, port: int, request: dict[str, Any]) -> dict[str, Any]:

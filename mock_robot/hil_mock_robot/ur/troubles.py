@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from hil_mock_robot.schedule import Schedule
+from hil_mock_robot.server.faults import Schedule
 from hil_mock_robot.ur.contracts import Motion
 from hil_mock_robot.ur.faults import KINDS, OWNERS, Fault, fault_of
-from hil_mock_robot.ur.line import COUNTED, LASTING
 from hil_mock_robot.ur.machine import Event, Machine
-from hil_mock_robot.ur.ownership import Ownership
-from hil_mock_robot.ur.stopping import StopJoints, StopL
+from hil_mock_robot.ur.motion import StopJoints, StopL
+from hil_mock_robot.ur.rtde import Ownership
+from hil_mock_robot.ur.wire import COUNTED, LASTING
 
 DASHBOARD = 29999
 STOPS = (StopJoints, StopL)

@@ -1,8 +1,11 @@
-"""RTDE's variables: names, wire types, since which software; and their values in one flat list.
+"""RTDE's variables by generation of controller: names, wire types, since which software.
+
+`CB3` and `E_SERIES` are the two generations that are played (CB3: the paper's UR5). `Values` are
+the present values of the inputs or outputs in one flat list.
 
 Source: Universal Robots, "Real-Time Data Exchange (RTDE) Guide", tables of outputs and inputs.
 `tcp_offset` is not in it: Universal_Robots_Client_Library, pull request 110 (3.12.0 and 5.5.1).
-What came after the versions that are played here (`series.py`) is left out: it is not found.
+What came after the versions that are played here is left out: it is not found.
 """
 
 from __future__ import annotations
@@ -11,7 +14,54 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from hil_mock_robot.ur.series import Series
+from hil.core import SpecError
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """What differs between generations.
+
+    Attributes:
+        name: `cb3` or `e`.
+        version: Major, minor, bug-fix and build number of the controller software.
+        date: Of that software, as it is told with the version.
+        rate_hz: Ticks per second, also the highest RTDE rate [Hz].
+        arms: Built-in arms that such a controller moves.
+    """
+
+    name: str
+    version: tuple[int, int, int, int]
+    date: str
+    rate_hz: float
+    arms: tuple[str, ...]
+
+    @property
+    def is_e(self) -> bool:
+        """Whether it is an e-Series controller."""
+        return self.version[0] >= 5
+
+    def at_least(self, cb3: tuple[int, int] | None, e: tuple[int, int] | None) -> bool:
+        """Whether its software has what came with these versions; None for never."""
+        since = e if self.is_e else cb3
+        return since is not None and self.version[:2] >= since
+
+
+CB3 = Series("cb3", (3, 15, 8, 106339), "Apr 17 2022", 125.0, ("ur3", "ur5", "ur10"))
+E_SERIES = Series("e", (5, 12, 2, 1101534), "Dec 02 2022", 500.0, ("ur3e", "ur5e", "ur10e"))
+
+
+def series_of(arm: str) -> Series:
+    """The controller that moves a built-in arm.
+
+    Raises:
+        SpecError: It is no arm of Universal Robots.
+    """
+    for series in (CB3, E_SERIES):
+        if arm in series.arms:
+            return series
+    known = ", ".join(CB3.arms + E_SERIES.arms)
+    raise SpecError(f"a UR controller moves no {arm}", hint=f"it moves {known}")
+
 
 Number = float | int | bool
 
@@ -30,97 +80,7 @@ WIRE: Mapping[str, tuple[str, int]] = {
 """Type as RTDE names it → letter of `struct`, and how many of them."""
 
 ALWAYS = (0, 0)
-_OUTPUTS: tuple[tuple[str, str, tuple[int, int] | None, tuple[int, int] | None], ...] = (
-    ("timestamp", "DOUBLE", ALWAYS, ALWAYS),
-    ("target_q", "VECTOR6D", ALWAYS, ALWAYS),
-    ("target_qd", "VECTOR6D", ALWAYS, ALWAYS),
-    ("target_qdd", "VECTOR6D", ALWAYS, ALWAYS),
-    ("target_current", "VECTOR6D", ALWAYS, ALWAYS),
-    ("target_moment", "VECTOR6D", ALWAYS, ALWAYS),
-    ("actual_q", "VECTOR6D", ALWAYS, ALWAYS),
-    ("actual_qd", "VECTOR6D", ALWAYS, ALWAYS),
-    ("actual_current", "VECTOR6D", ALWAYS, ALWAYS),
-    ("actual_current_window", "VECTOR6D", None, ALWAYS),
-    ("actual_current_as_torque", "VECTOR6D", None, (5, 23)),
-    ("joint_control_output", "VECTOR6D", ALWAYS, ALWAYS),
-    ("actual_TCP_pose", "VECTOR6D", ALWAYS, ALWAYS),
-    ("actual_TCP_speed", "VECTOR6D", ALWAYS, ALWAYS),
-    ("actual_TCP_force", "VECTOR6D", ALWAYS, ALWAYS),
-    ("target_TCP_pose", "VECTOR6D", ALWAYS, ALWAYS),
-    ("target_TCP_speed", "VECTOR6D", ALWAYS, ALWAYS),
-    ("actual_digital_input_bits", "UINT64", ALWAYS, ALWAYS),
-    ("joint_temperatures", "VECTOR6D", ALWAYS, ALWAYS),
-    ("actual_execution_time", "DOUBLE", ALWAYS, ALWAYS),
-    ("robot_mode", "INT32", ALWAYS, ALWAYS),
-    ("joint_mode", "VECTOR6INT32", ALWAYS, ALWAYS),
-    ("safety_mode", "INT32", ALWAYS, ALWAYS),
-    ("safety_status", "INT32", (3, 10), (5, 4)),
-    ("actual_tool_accelerometer", "VECTOR3D", ALWAYS, ALWAYS),
-    ("speed_scaling", "DOUBLE", ALWAYS, ALWAYS),
-    ("target_speed_fraction", "DOUBLE", ALWAYS, ALWAYS),
-    ("actual_momentum", "DOUBLE", ALWAYS, ALWAYS),
-    ("actual_main_voltage", "DOUBLE", ALWAYS, ALWAYS),
-    ("actual_robot_voltage", "DOUBLE", ALWAYS, ALWAYS),
-    ("actual_robot_current", "DOUBLE", ALWAYS, ALWAYS),
-    ("actual_joint_voltage", "VECTOR6D", ALWAYS, ALWAYS),
-    ("actual_digital_output_bits", "UINT64", ALWAYS, ALWAYS),
-    ("runtime_state", "UINT32", ALWAYS, ALWAYS),
-    ("elbow_position", "VECTOR3D", (3, 5), ALWAYS),
-    ("elbow_velocity", "VECTOR3D", (3, 5), ALWAYS),
-    ("robot_status_bits", "UINT32", ALWAYS, ALWAYS),
-    ("safety_status_bits", "UINT32", ALWAYS, ALWAYS),
-    ("analog_io_types", "UINT32", ALWAYS, ALWAYS),
-    ("standard_analog_input0", "DOUBLE", ALWAYS, ALWAYS),
-    ("standard_analog_input1", "DOUBLE", ALWAYS, ALWAYS),
-    ("standard_analog_output0", "DOUBLE", ALWAYS, ALWAYS),
-    ("standard_analog_output1", "DOUBLE", ALWAYS, ALWAYS),
-    ("io_current", "DOUBLE", ALWAYS, ALWAYS),
-    ("euromap67_input_bits", "UINT32", ALWAYS, ALWAYS),
-    ("euromap67_output_bits", "UINT32", ALWAYS, ALWAYS),
-    ("euromap67_24V_voltage", "DOUBLE", ALWAYS, ALWAYS),
-    ("euromap67_24V_current", "DOUBLE", ALWAYS, ALWAYS),
-    ("tool_mode", "UINT32", ALWAYS, ALWAYS),
-    ("tool_analog_input_types", "UINT32", ALWAYS, ALWAYS),
-    ("tool_analog_input0", "DOUBLE", ALWAYS, ALWAYS),
-    ("tool_analog_input1", "DOUBLE", ALWAYS, ALWAYS),
-    ("tool_output_voltage", "INT32", ALWAYS, ALWAYS),
-    ("tool_output_current", "DOUBLE", ALWAYS, ALWAYS),
-    ("tool_temperature", "DOUBLE", ALWAYS, ALWAYS),
-    ("tcp_force_scalar", "DOUBLE", ALWAYS, ALWAYS),
-    ("tool_output_mode", "UINT8", None, (5, 2)),
-    ("tool_digital_output0_mode", "UINT8", None, (5, 2)),
-    ("tool_digital_output1_mode", "UINT8", None, (5, 2)),
-    ("payload", "DOUBLE", (3, 11), (5, 6)),
-    ("payload_cog", "VECTOR3D", (3, 11), (5, 6)),
-    ("payload_inertia", "VECTOR6D", (3, 15), (5, 11)),
-    ("script_control_line", "UINT32", None, (5, 9)),
-    ("ft_raw_wrench", "VECTOR6D", None, (5, 9)),
-    ("joint_position_deviation_ratio", "DOUBLE", None, (5, 11)),
-    ("collision_detection_ratio", "DOUBLE", None, (5, 15)),
-    ("time_scale_source", "INT32", None, (5, 17)),
-    ("tcp_offset", "VECTOR6D", (3, 12), (5, 6)),
-    ("output_bit_registers0_to_31", "UINT32", ALWAYS, ALWAYS),
-    ("output_bit_registers32_to_63", "UINT32", ALWAYS, ALWAYS),
-    ("input_bit_registers0_to_31", "UINT32", ALWAYS, ALWAYS),
-    ("input_bit_registers32_to_63", "UINT32", ALWAYS, ALWAYS),
-)
-_INPUTS: tuple[tuple[str, str, tuple[int, int] | None, tuple[int, int] | None], ...] = (
-    ("speed_slider_mask", "UINT32", ALWAYS, ALWAYS),
-    ("speed_slider_fraction", "DOUBLE", ALWAYS, ALWAYS),
-    ("standard_digital_output_mask", "UINT8", ALWAYS, ALWAYS),
-    ("standard_digital_output", "UINT8", ALWAYS, ALWAYS),
-    ("configurable_digital_output_mask", "UINT8", ALWAYS, ALWAYS),
-    ("configurable_digital_output", "UINT8", ALWAYS, ALWAYS),
-    ("tool_digital_output_mask", "UINT8", ALWAYS, ALWAYS),
-    ("tool_digital_output", "UINT8", ALWAYS, ALWAYS),
-    ("standard_analog_output_mask", "UINT8", ALWAYS, ALWAYS),
-    ("standard_analog_output_type", "UINT8", ALWAYS, ALWAYS),
-    ("standard_analog_output_0", "DOUBLE", ALWAYS, ALWAYS),
-    ("standard_analog_output_1", "DOUBLE", ALWAYS, ALWAYS),
-    ("external_force_torque", "VECTOR6D", (3, 3), ALWAYS),
-    ("input_bit_registers0_to_31", "UINT32", ALWAYS, ALWAYS),
-    ("input_bit_registers32_to_63", "UINT32", ALWAYS, ALWAYS),
-)
+
 UPPER_SINCE = ((3, 9), (5, 3))
 """Since when there are registers 24 to 47, and single bits 64 to 127."""
 
@@ -195,16 +155,86 @@ class Values:
             self[name] = value
 
 
+_OUTPUTS: tuple[tuple[str, str, tuple[int, int] | None, tuple[int, int] | None], ...] = (
+    ("timestamp", "DOUBLE", ALWAYS, ALWAYS),
+    ("target_q", "VECTOR6D", ALWAYS, ALWAYS),
+    ("target_qd", "VECTOR6D", ALWAYS, ALWAYS),
+    ("target_qdd", "VECTOR6D", ALWAYS, ALWAYS),
+    ("target_current", "VECTOR6D", ALWAYS, ALWAYS),
+    ("target_moment", "VECTOR6D", ALWAYS, ALWAYS),
+    ("actual_q", "VECTOR6D", ALWAYS, ALWAYS),
+    ("actual_qd", "VECTOR6D", ALWAYS, ALWAYS),
+    ("actual_current", "VECTOR6D", ALWAYS, ALWAYS),
+    ("actual_current_window", "VECTOR6D", None, ALWAYS),
+    ("actual_current_as_torque", "VECTOR6D", None, (5, 23)),
+    ("joint_control_output", "VECTOR6D", ALWAYS, ALWAYS),
+    ("actual_TCP_pose", "VECTOR6D", ALWAYS, ALWAYS),
+    ("actual_TCP_speed", "VECTOR6D", ALWAYS, ALWAYS),
+    ("actual_TCP_force", "VECTOR6D", ALWAYS, ALWAYS),
+    ("target_TCP_pose", "VECTOR6D", ALWAYS, ALWAYS),
+    ("target_TCP_speed", "VECTOR6D", ALWAYS, ALWAYS),
+    ("actual_digital_input_bits", "UINT64", ALWAYS, ALWAYS),
+    ("joint_temperatures", "VECTOR6D", ALWAYS, ALWAYS),
+    ("actual_execution_time", "DOUBLE", ALWAYS, ALWAYS),
+    ("robot_mode", "INT32", ALWAYS, ALWAYS),
+    ("joint_mode", "VECTOR6INT32", ALWAYS, ALWAYS),
+    ("safety_mode", "INT32", ALWAYS, ALWAYS),
+    ("safety_status", "INT32", (3, 10), (5, 4)),
+    ("actual_tool_accelerometer", "VECTOR3D", ALWAYS, ALWAYS),
+    ("speed_scaling", "DOUBLE", ALWAYS, ALWAYS),
+    ("target_speed_fraction", "DOUBLE", ALWAYS, ALWAYS),
+    ("actual_momentum", "DOUBLE", ALWAYS, ALWAYS),
+    ("actual_main_voltage", "DOUBLE", ALWAYS, ALWAYS),
+    ("actual_robot_voltage", "DOUBLE", ALWAYS, ALWAYS),
+    ("actual_robot_current", "DOUBLE", ALWAYS, ALWAYS),
+    ("actual_joint_voltage", "VECTOR6D", ALWAYS, ALWAYS),
+    ("actual_digital_output_bits", "UINT64", ALWAYS, ALWAYS),
+    ("runtime_state", "UINT32", ALWAYS, ALWAYS),
+    ("elbow_position", "VECTOR3D", (3, 5), ALWAYS),
+    ("elbow_velocity", "VECTOR3D", (3, 5), ALWAYS),
+    ("robot_status_bits", "UINT32", ALWAYS, ALWAYS),
+    ("safety_status_bits", "UINT32", ALWAYS, ALWAYS),
+    ("analog_io_types", "UINT32", ALWAYS, ALWAYS),
+    ("standard_analog_input0", "DOUBLE", ALWAYS, ALWAYS),
+    ("standard_analog_input1", "DOUBLE", ALWAYS, ALWAYS),
+    ("standard_analog_output0", "DOUBLE", ALWAYS, ALWAYS),
+    ("standard_analog_output1", "DOUBLE", ALWAYS, ALWAYS),
+    ("io_current", "DOUBLE", ALWAYS, ALWAYS),
+    ("euromap67_input_bits", "UINT32", ALWAYS, ALWAYS),
+    ("euromap67_output_bits", "UINT32", ALWAYS, ALWAYS),
+    ("euromap67_24V_voltage", "DOUBLE", ALWAYS, ALWAYS),
+    ("euromap67_24V_current", "DOUBLE", ALWAYS, ALWAYS),
+    ("tool_mode", "UINT32", ALWAYS, ALWAYS),
+    ("tool_analog_input_types", "UINT32", ALWAYS, ALWAYS),
+    ("tool_analog_input0", "DOUBLE", ALWAYS, ALWAYS),
+    ("tool_analog_input1", "DOUBLE", ALWAYS, ALWAYS),
+    ("tool_output_voltage", "INT32", ALWAYS, ALWAYS),
+    ("tool_output_current", "DOUBLE", ALWAYS, ALWAYS),
+    ("tool_temperature", "DOUBLE", ALWAYS, ALWAYS),
+    ("tcp_force_scalar", "DOUBLE", ALWAYS, ALWAYS),
+    ("tool_output_mode", "UINT8", None, (5, 2)),
+    ("tool_digital_output0_mode", "UINT8", None, (5, 2)),
+    ("tool_digital_output1_mode", "UINT8", None, (5, 2)),
+    ("payload", "DOUBLE", (3, 11), (5, 6)),
+    ("payload_cog", "VECTOR3D", (3, 11), (5, 6)),
+    ("payload_inertia", "VECTOR6D", (3, 15), (5, 11)),
+    ("script_control_line", "UINT32", None, (5, 9)),
+    ("ft_raw_wrench", "VECTOR6D", None, (5, 9)),
+    ("joint_position_deviation_ratio", "DOUBLE", None, (5, 11)),
+    ("collision_detection_ratio", "DOUBLE", None, (5, 15)),
+    ("time_scale_source", "INT32", None, (5, 17)),
+    ("tcp_offset", "VECTOR6D", (3, 12), (5, 6)),
+    ("output_bit_registers0_to_31", "UINT32", ALWAYS, ALWAYS),
+    ("output_bit_registers32_to_63", "UINT32", ALWAYS, ALWAYS),
+    ("input_bit_registers0_to_31", "UINT32", ALWAYS, ALWAYS),
+    ("input_bit_registers32_to_63", "UINT32", ALWAYS, ALWAYS),
+)
+
+
 def outputs_of(series: Series) -> Values:
     """Everything a controller tells by RTDE."""
     named = [(name, kind) for name, kind, cb3, e in _OUTPUTS if series.at_least(cb3, e)]
     return Values([*named, *_registers("output", series), *_registers("input", series)])
-
-
-def inputs_of(series: Series) -> Values:
-    """Everything a controller can be told by RTDE."""
-    named = [(name, kind) for name, kind, cb3, e in _INPUTS if series.at_least(cb3, e)]
-    return Values([*named, *_registers("input", series)])
 
 
 def _registers(side: str, series: Series) -> list[tuple[str, str]]:
@@ -216,3 +246,28 @@ def _registers(side: str, series: Series) -> list[tuple[str, str]]:
         *((f"{side}_int_register_{i}", "INT32") for i in range(count)),
         *((f"{side}_double_register_{i}", "DOUBLE") for i in range(count)),
     ]
+
+
+_INPUTS: tuple[tuple[str, str, tuple[int, int] | None, tuple[int, int] | None], ...] = (
+    ("speed_slider_mask", "UINT32", ALWAYS, ALWAYS),
+    ("speed_slider_fraction", "DOUBLE", ALWAYS, ALWAYS),
+    ("standard_digital_output_mask", "UINT8", ALWAYS, ALWAYS),
+    ("standard_digital_output", "UINT8", ALWAYS, ALWAYS),
+    ("configurable_digital_output_mask", "UINT8", ALWAYS, ALWAYS),
+    ("configurable_digital_output", "UINT8", ALWAYS, ALWAYS),
+    ("tool_digital_output_mask", "UINT8", ALWAYS, ALWAYS),
+    ("tool_digital_output", "UINT8", ALWAYS, ALWAYS),
+    ("standard_analog_output_mask", "UINT8", ALWAYS, ALWAYS),
+    ("standard_analog_output_type", "UINT8", ALWAYS, ALWAYS),
+    ("standard_analog_output_0", "DOUBLE", ALWAYS, ALWAYS),
+    ("standard_analog_output_1", "DOUBLE", ALWAYS, ALWAYS),
+    ("external_force_torque", "VECTOR6D", (3, 3), ALWAYS),
+    ("input_bit_registers0_to_31", "UINT32", ALWAYS, ALWAYS),
+    ("input_bit_registers32_to_63", "UINT32", ALWAYS, ALWAYS),
+)
+
+
+def inputs_of(series: Series) -> Values:
+    """Everything a controller can be told by RTDE."""
+    named = [(name, kind) for name, kind, cb3, e in _INPUTS if series.at_least(cb3, e)]
+    return Values([*named, *_registers("input", series)])

@@ -11,12 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from hil_mock_robot.journal import Journal, Moment
-from hil_mock_robot.rest import RestWatch
+from hil_mock_robot.server.journal import Journal, Moment, RestWatch
 from hil_mock_robot.ur.faults import Fault
+from hil_mock_robot.ur.loop import Slip, TcpLink
 from hil_mock_robot.ur.machine import Event, Machine
-from hil_mock_robot.ur.pacing import Slip
-from hil_mock_robot.ur.sockets import TcpLink
 
 NAMES = {
     1: "movej", 2: "movej_ik", 3: "movel", 4: "movel_fk", 6: "force_mode", 9: "speedj",

@@ -1,0 +1,223 @@
+"""The controller as its host meets it: faults strike, rows are sent, a journal is kept."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from hil.arms import Payload
+from hil.core import CommandRefused, FloatArray, RobotConnectionError, RobotFault, StructArray
+from hil.robot import Segment, Status
+from hil_mock_robot.embedded.arm import Arm, Sampling
+from hil_mock_robot.embedded.faults import Fault, Line, Schedule
+from hil_mock_robot.plant.records import EMERGENCY_STOP, FAULT_KINDS, FAULTS, PROTECTIVE_STOP
+from hil_mock_robot.server.journal import REST_RAD_S, Journal, Moment, RestWatch
+
+STOPS = {"protective_stop": PROTECTIVE_STOP, "emergency_stop": EMERGENCY_STOP}
+BRAKING_AT_MOST_S = 5.0
+BRAKING_BLOCK = 16
+
+
+class Controller:
+    """One robot's controller; nothing here is safe against a second thread.
+
+    Args:
+        name: The robot's name.
+        arm: What it controls.
+        faults: What is to go wrong.
+        journal: Told what happens.
+        spacing_s: Wall time between samples, 0 on a virtual clock.
+
+    Attributes:
+        connected: Whether a host may work with it.
+        fault_told: Whether the host has got a row with the present fault.
+    """
+
+    def __init__(
+        self, name: str, arm: Arm, faults: Sequence[Fault], journal: Journal, spacing_s: float
+    ) -> None:
+        self.name, self.arm = name, arm
+        self.connected = False
+        self.fault_told = False
+        self.line = Line()
+        self.rest = RestWatch(journal)
+        self._journal = journal
+        self._sampling = Sampling(arm)
+        self._schedule = Schedule(faults, arm.rate_hz) if faults else None  # most have none
+        self._spacing_s = spacing_s
+
+    @property
+    def samples(self) -> int:
+        """Samples since it was switched on."""
+        return self.arm.on.samples
+
+    @property
+    def still(self) -> bool:
+        """Whether the arm is known to be at rest, or will never move again."""
+        arm = self.arm
+        if arm.dead or arm.locked or self.rest.resting:
+            return True
+        return not (self.rest.waiting or arm.moving) and arm.fastest < REST_RAD_S
+
+    def require_connection(self) -> None:
+        """Raise when a host cannot work with it.
+
+        Raises:
+            RobotConnectionError: It is not connected, or the line is cut.
+        """
+        if not self.connected:
+            raise RobotConnectionError(
+                f"mock robot {self.name} is not connected", hint="call connect() first"
+            )
+        if self.line.cut:
+            raise RobotConnectionError(
+                f"mock robot {self.name}: the line is cut", hint="close() and connect() again"
+            )
+
+    def connect(self) -> None:
+        """Accept a host: the line is new, and a fault that was is cleared by the arm."""
+        self.connected, self.fault_told = True, False
+        self.line.mend()
+        if self._schedule:
+            self._schedule.mend()
+
+    def disconnect(self) -> None:
+        """Let the host go."""
+        self.rest.finish()
+        self.connected = False
+
+    def strike(self, fault: Fault) -> None:
+        """Let something go wrong that nobody has planned; what is due begins with the next row."""
+        self._schedule = self._schedule or Schedule((), self.arm.rate_hz)
+        self._schedule.add(fault)
+
+    def clear(self) -> None:
+        """End what is wrong with the line, and forget what is to come."""
+        if self._schedule:
+            self._schedule.clear()
+        for fault in self.line.mend():
+            self.note("fault_over", kind=fault.kind)
+
+    def prepare(self, segment: Segment) -> None:
+        """Check and keep the next segment.
+
+        Raises:
+            CommandRefused: There is a fault, the segment cannot be, or a refusal was injected.
+        """
+        self._require_no_fault()
+        if self._schedule and self._schedule.refuses(segment.index, self.samples):
+            self.note("fault", kind="refuse", segment=segment.index)
+            raise CommandRefused(
+                f"segment {segment.index} ({segment.kind}): refused, injected",
+                hint="take the refusal out of the mock's option faults",
+            )
+        self.arm.motion.prepare(segment)
+
+    def start(self) -> None:
+        """Begin the prepared segment with the next sample.
+
+        Raises:
+            CommandRefused: There is a fault, nothing is prepared, or a segment is running.
+        """
+        self._require_no_fault()
+        self.arm.motion.start()
+        self.rest.moved()
+        if self._schedule:
+            self._schedule.began(self.arm.motion.segment, self.samples)
+
+    def set_payload(self, payload: Payload) -> None:
+        """See `Arm.set_payload`."""
+        self._require_no_fault()
+        self.arm.set_payload(payload)
+
+    def command_torque(self, torque: FloatArray | None) -> None:
+        """See `Arm.command_torque`."""
+        self.arm.command_torque(torque)
+        if torque is not None:
+            self.rest.moved()
+
+    def brake(self, cause: str, at: Moment) -> None:
+        """Bring the arm to rest and, if there is a cause, watch until it is there."""
+        self.arm.brake()
+        if cause:
+            self.rest.stopped(cause, at)
+
+    def trip(self, fault: int) -> None:
+        """Stop by a fault of the controller's own (a code of `FAULTS`)."""
+        if self.arm.fault:
+            return
+        kind, at = FAULT_KINDS[fault], self.moment()
+        self.note("fault", at, kind=kind, code=fault)
+        self.rest.stopped(kind, at)
+        self.arm.trip(fault)
+
+    def fault_error(self) -> RobotFault:
+        """What the host is told about the present fault."""
+        return RobotFault(
+            f"{self.name}: {FAULTS[self.arm.fault]}", hint="find the cause, then reconnect"
+        )
+
+    def produce(self, most: int) -> StructArray:
+        """Let up to `most` samples of device time pass; returns the rows that get to the host."""
+        if self._schedule:
+            most = self._turn(self._schedule, most)
+        before = self.arm.fault
+        rows = self._sampling.advance(most)
+        if self._spacing_s:
+            rows["host_time"] = time.time() - self._spacing_s * np.arange(len(rows))[::-1]
+        if self.arm.fault != before:
+            self._note_failure()
+        if self.rest.waiting:
+            now = time.monotonic()
+            self.rest.see(rows["device_time"], self._sampling.qd, now, self._spacing_s)
+        return self.line.carry(rows, self.arm.device_time) if self._schedule else rows
+
+    def hand_over(self, rows: StructArray) -> StructArray:
+        """Note what the host gets to know, on the way to it."""
+        self.fault_told = self.fault_told or bool((rows["status"] & int(Status.FAULT)).any())
+        return rows
+
+    def come_to_rest(self) -> None:
+        """Let device time pass until the arm is at rest; for clocks that nobody else advances."""
+        end = self.arm.device_time + BRAKING_AT_MOST_S
+        while not self.still and self.arm.device_time < end:
+            self.produce(BRAKING_BLOCK)
+
+    def moment(self, monotonic_s: float | None = None) -> Moment:
+        """Now, or a little earlier by the monotonic clock."""
+        now = time.monotonic() if monotonic_s is None else monotonic_s
+        return Moment(now, self.arm.device_time, self.arm.fastest)
+
+    def note(self, event: str, at: Moment | None = None, **details: Any) -> None:
+        """Write a line into the journal."""
+        self._journal.note(event, at or self.moment(), **details)
+
+    def _require_no_fault(self) -> None:
+        if self.arm.fault:
+            raise CommandRefused(
+                f"{self.name}: {FAULTS[self.arm.fault]}", hint="find the cause, then reconnect"
+            )
+
+    def _turn(self, schedule: Schedule, most: int) -> int:
+        """Begin and end what is due; returns how many samples pass until the next change."""
+        begun, over = schedule.turn(self.samples)
+        for fault in over:
+            self.line.end(fault)
+            self.note("fault_over", kind=fault.kind)
+        for fault in begun:
+            if fault.kind in STOPS:
+                self.trip(STOPS[fault.kind])
+            else:
+                self.note("fault", kind=fault.kind)
+                self.line.begin(fault)
+        return schedule.unchanged(self.samples, most)
+
+    def _note_failure(self) -> None:
+        """The simulation found a fault and the brakes were engaged."""
+        code, at = self.arm.fault, self.moment()
+        self.note("fault", at, kind=FAULT_KINDS[code], code=code)
+        if self.arm.locked and not self.arm.dead:
+            self.rest.locked(FAULT_KINDS[code], at)

@@ -1,0 +1,73 @@
+"""The two optional libraries behind the plant, and how compiled code calls MuJoCo.
+
+numba cannot cache a function that closes over a ctypes pointer, so the addresses travel as
+integers and `call` emits the indirect call itself.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import sys
+from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import mujoco
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+from hil.core import PluginError, plugins
+
+HINT = 'pip install "hil[mock]"'
+
+
+def require_libraries() -> None:
+    """Check that MuJoCo and numba are there, without importing them.
+
+    Raises:
+        PluginError: One is missing.
+    """
+    missing = [name for name in ("mujoco", "numba") if find_spec(name) is None]
+    if missing:
+        raise plugins.not_installed("the mock robot", missing, "mock")
+
+
+require_libraries()
+
+
+def address_of(function: str) -> int:
+    """The address of a C function of MuJoCo, to be passed to compiled code."""
+    pointer = ctypes.cast(getattr(_library(), function), ctypes.c_void_p).value
+    assert pointer is not None
+    return pointer
+
+
+@cache
+def _library() -> ctypes.CDLL:
+    """The libmujoco of the wheel, already loaded by `import mujoco`, so shared."""
+    pattern = {"darwin": "libmujoco*.dylib", "win32": "mujoco.dll"}.get(
+        sys.platform, "libmujoco.so*"
+    )
+    found = sorted(Path(mujoco.__file__).parent.glob(pattern))
+    if not found:
+        raise PluginError(f"mujoco {mujoco.__version__} ships no {pattern}", hint=HINT)
+    return ctypes.CDLL(str(found[0]))
+
+
+def _call(typingctx: Any, function: Any, model: Any, data: Any) -> Any:
+    signature = types.void(types.intp, types.intp, types.intp)
+
+    def emit(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        pointer = ir.IntType(8 * ctypes.sizeof(ctypes.c_void_p))
+        kind = ir.FunctionType(ir.VoidType(), [pointer, pointer])
+        target = builder.inttoptr(arguments[0], kind.as_pointer())
+        builder.call(target, [arguments[1], arguments[2]])
+        return context.get_dummy_value()
+
+    return signature, emit
+
+
+call: Any = intrinsic(_call)
+"""`call(function, model, data)` calls `void function(mjModel*, mjData*)`, all as addresses."""

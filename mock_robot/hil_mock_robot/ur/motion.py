@@ -1,0 +1,595 @@
+"""Motions: what moves the set-point from tick to tick.
+
+`MoveJ`, `MoveL` and `MovePath` go along a planned route, `ServoJ`, `SpeedJ` and `SpeedL` follow
+what a client streams, `StopJoints` and `StopL` come to rest. `ToolFollower` keeps the joints with a
+tool that moves on a line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import cos, exp, sin, sqrt
+from typing import Literal
+
+import numpy as np
+from scipy.linalg.lapack import dgesv
+
+from hil.arms import ArmDescription
+from hil.core import FloatArray
+from hil_mock_robot.ur.contracts import Setpoint
+from hil_mock_robot.ur.kinematics import (
+    Numbers,
+    Posture,
+    Triple,
+    compose,
+    frame_of,
+    inverted,
+    lengths_of,
+    nearest,
+    rotation_of,
+    turned,
+    twist_of,
+)
+from hil_mock_robot.ur.routes import (
+    SINGULARITY,
+    Leg,
+    Moment,
+    MotionImpossible,
+    Piece,
+    Site,
+    Size,
+    alike,
+    joint_route,
+    joint_size,
+    out_of,
+    require_finite,
+    require_within,
+    tool_route,
+)
+
+ROUNDING, BISECTIONS = 1 + 1e-9, 8
+
+BRAKE_RAD_S2 = 8.0
+"""A move begins at rest; an arm that still moves when it is commanded brakes with this first."""
+
+
+class MovePath:
+    """Moves one after the other, from rest to rest; implements `Motion`.
+
+    Moves in the same space are blended where they have a radius: they leave their straight ways
+    where the tool is that far from the waypoint, but never before half the way, and run from one
+    way into the other on a parabola. Between moves in different spaces the arm stops.
+
+    Args:
+        arm: Its lengths and limits; None for joint moves without limits.
+        tcp: (6,) tool in the flange frame, as set when the path is commanded.
+        legs: The moves.
+        tick_s: Device time of a tick.
+
+    Attributes:
+        progress: Index of the move under way; a blend belongs to the move that it begins.
+    """
+
+    def __init__(
+        self, arm: ArmDescription | None, tcp: Numbers | None, legs: Sequence[Leg], tick_s: float
+    ) -> None:
+        self._site = Site(arm, None if tcp is None else np.array(tcp, dtype=np.float64))
+        self._legs, self._tick_s = list(legs), tick_s
+        self._planned = 0
+        self._pieces: list[Piece] = []
+        self._follower: ToolFollower | None = None
+        self._t = 0.0
+        self._pace: float | None = None
+        self.progress = 0
+
+    def advance(self, now: Setpoint, scale: float) -> Setpoint | None:
+        """See `Motion`; the speed slider slows the time of the motion, not its way.
+
+        Raises:
+            MotionImpossible: With code 150 for a target beyond the joint limits, 154 for a way
+                through a singularity or out of reach, 0 for a target out of reach.
+        """
+        if not self._pieces:
+            if now[1].any():
+                return StopJoints(BRAKE_RAD_S2, self._tick_s).advance(now, 1.0)
+            self._plan(now[0])
+            if not self._pieces:
+                return None
+        pace, change = self._slide(scale)
+        self._t += 0.5 * (2.0 * pace - change) * self._tick_s
+        while len(self._pieces) > 1 and self._t >= self._pieces[0].duration:
+            self._t -= self._pieces.pop(0).duration
+        piece = self._pieces[0]
+        self.progress = piece.leg
+        if self._t >= piece.duration:
+            self._pieces = []
+            return self._rest(piece, now)
+        return self._moving(piece, pace, change / self._tick_s, now)
+
+    def _plan(self, q: FloatArray) -> None:
+        """The pieces of the moves that come next and can be blended."""
+        while not self._pieces and self._planned < len(self._legs):
+            first = self._planned
+            legs = self._legs[first : first + alike(self._legs[first:])]
+            self._planned += len(legs)
+            self._t, self._follower = 0.0, None
+            if legs[0].joint_space:
+                self._pieces = joint_route(self._site, legs, first, q)
+            else:
+                self._pieces = tool_route(self._site, legs, first, q)
+                self._follower = ToolFollower(*self._site.known, self._tick_s)
+
+    def _slide(self, scale: float) -> tuple[float, float]:
+        """The pace of this tick, and by how much it has changed.
+
+        It goes to the slider as fast as the acceleration of the moves permits.
+        """
+        before = self._pace = scale if self._pace is None else self._pace
+        if before != scale:
+            self._pace += self._share(before, scale - before) * (scale - before)
+        return self._pace, self._pace - before
+
+    def _share(self, before: float, change: float) -> float:
+        """How much of a change of the pace this tick permits, 0 to 1."""
+        if self._permitted(before, change):
+            return 1.0
+        low, high = 0.0, 1.0
+        for _ in range(BISECTIONS):
+            middle = 0.5 * (low + high)
+            low, high = (
+                (middle, high) if self._permitted(before, middle * change) else (low, middle)
+            )
+        return low
+
+    def _permitted(self, before: float, change: float) -> bool:
+        """Whether the pace may change by so much in this tick."""
+        rate, t = change / self._tick_s, self._t
+        paces = (before, before + change)  # the profile may bend within the tick
+
+        def fits(piece: Piece, at: float) -> bool:
+            return max(piece.effort(at, pace, rate) for pace in paces) <= ROUNDING
+
+        if not fits(self._pieces[0], t):
+            return False
+        t += (before + 0.5 * change) * self._tick_s
+        for piece in self._pieces:
+            if t < piece.duration or piece is self._pieces[-1]:
+                return fits(piece, t)
+            t -= piece.duration
+        return True
+
+    def _moving(self, piece: Piece, pace: float, change: float, now: Setpoint) -> Setpoint:
+        moment = piece.at(self._t)
+        if self._follower is not None:
+            return self._follower.setpoint(moment, piece.anchor, pace, now)
+        x, v, a = moment
+        return np.array((x, pace * v, pace * pace * a + change * v))
+
+    def _rest(self, piece: Piece, now: Setpoint) -> Setpoint:
+        setpoint = self._moving(piece, 0.0, 0.0, now) if self._follower else None
+        q = piece.at(piece.duration)[0] if setpoint is None else setpoint[0]
+        return np.array((q, np.zeros(6), np.zeros(6)))
+
+
+class MoveJ(MovePath):
+    """URScript `movej` to a joint position: all joints start and arrive together.
+
+    Args:
+        q: (6,) [rad].
+        v, a: Of the leading axis, the one that has furthest to go [rad/s, rad/s²].
+        tick_s: Device time of a tick.
+        time_s: How long it takes, in place of `v` and `a`, unless 0 [s].
+        arm: Whose limits hold; None for none.
+    """
+
+    def __init__(
+        self,
+        q: Numbers,
+        v: float,
+        a: float,
+        tick_s: float,
+        *,
+        time_s: float = 0.0,
+        arm: ArmDescription | None = None,
+    ) -> None:
+        leg = Leg("j", np.array(q, dtype=np.float64), v, a, time_s=time_s)
+        super().__init__(arm, None, [leg], tick_s)
+
+
+class _MoveToPose(MovePath):
+    """A single move to a pose.
+
+    Args:
+        arm: A UR arm.
+        tcp: (6,) tool in the flange frame.
+        pose: (6,) where to.
+        v, a: Of the leading axis [rad/s, rad/s²], or of the tool [m/s, m/s²].
+        tick_s: Device time of a tick.
+        time_s: How long it takes, in place of `v` and `a`, unless 0 [s].
+    """
+
+    kind: Literal["j", "l"] = "j"
+
+    def __init__(
+        self,
+        arm: ArmDescription,
+        tcp: Numbers,
+        pose: Numbers,
+        v: float,
+        a: float,
+        tick_s: float,
+        *,
+        time_s: float = 0.0,
+    ) -> None:
+        leg = Leg(self.kind, np.array(pose, dtype=np.float64), v, a, time_s=time_s, is_pose=True)
+        super().__init__(arm, tcp, [leg], tick_s)
+
+
+class MoveJPose(_MoveToPose):
+    """URScript `movej` to a pose: to the joint position nearest to the present one."""
+
+
+class MoveL(_MoveToPose):
+    """URScript `movel`: the tool moves on a straight line and turns about one axis.
+
+    It turns with at most four times as many rad/s, rad/s² as `v` and `a` are.
+    """
+
+    kind: Literal["j", "l"] = "l"
+
+
+FASTEST_RAD_S = np.pi
+"""Of an arm that is not named."""
+
+STEEPEST_RAD_S2 = 40.0
+"""`servoj` speeds up no harder than this; it is what clients may ask of a move at most."""
+
+LOOKAHEAD_S, GAIN = (0.03, 0.2), (100.0, 2000.0)
+USUAL_GAIN = 300.0
+ARRIVED_RAD, RESTING_RAD_S = 1e-7, 1e-6
+
+LIMIT_BRAKE_RAD_S2 = 8.0
+"""How hard an arm that comes near its joint limits will be stopped: see `Machine`."""
+
+
+class ServoJ:
+    """URScript `servoj`: the joints follow a target that a program moves tick by tick.
+
+    A critically damped second-order filter for each joint, which lags behind a steady target by
+    `lookahead · √(300 / gain)` and never swings beyond a target that stands still. It speeds up
+    with at most 40 rad/s² and gets as fast as the arm can, times the speed slider; how hard it
+    brakes follows from the filter. The real one's law is not published.
+
+    Args:
+        tick_s: Device time of a tick.
+        arm: Whose limits hold; None for π rad/s and any position.
+    """
+
+    def __init__(self, tick_s: float, arm: ArmDescription | None = None) -> None:
+        self._tick_s, self._arm = tick_s, arm
+        self._fastest = np.full(6, FASTEST_RAD_S) if arm is None else arm.qd_max
+        self._target: FloatArray | None = None
+        self._ticks_left = 0.0
+        self._rate = 0.0
+        self._share: float | None = None
+
+    def aim(self, q: Numbers, time_s: float, lookahead_s: float, gain: float) -> None:
+        """Follow this target (6,) [rad] for `time_s`; after that it is where the arm comes to rest.
+
+        Args:
+            q: (6,) [rad].
+            time_s: [s].
+            lookahead_s: 0.03 to 0.2 [s]; what lies outside counts as the nearest of these.
+            gain: 100 to 2000, likewise.
+        """
+        self._target = np.array((*q, time_s, lookahead_s, gain), dtype=np.float64)
+        self._ticks_left = max(1.0, time_s / self._tick_s)
+        lookahead = min(max(LOOKAHEAD_S[0], lookahead_s), LOOKAHEAD_S[1])
+        self._rate = 2.0 / lookahead * sqrt(min(max(GAIN[0], gain), GAIN[1]) / USUAL_GAIN)
+
+    def advance(self, now: Setpoint, scale: float) -> Setpoint | None:
+        """See `Motion`; over when the aims have stopped and the last one is reached.
+
+        Raises:
+            MotionImpossible: With code 150 for a target beyond the joint limits, 204 for none.
+        """
+        if self._target is None:
+            return StopJoints(LIMIT_BRAKE_RAD_S2, self._tick_s).advance(now, scale)
+        require_finite(self._target)
+        target, q, v = self._target[:6], now[0], now[1]
+        if self._arm is not None:
+            require_within(self._arm, target)
+        self._ticks_left -= 1.0
+        self._slide(scale)
+        near = np.abs(q - target).max() < ARRIVED_RAD and np.abs(v).max() < RESTING_RAD_S
+        if near and self._ticks_left < 0.0:
+            return np.array((target, np.zeros(6), np.zeros(6))) if v.any() else None
+        return self._filtered(q - target, q, v)
+
+    def _slide(self, scale: float) -> None:
+        """Let the speed limit follow the slider no harder than the arm brakes."""
+        step = LIMIT_BRAKE_RAD_S2 * self._tick_s / float(self._fastest.max())
+        before = scale if self._share is None else self._share
+        self._share = min(max(scale, before - step), before + step)
+
+    def _filtered(self, away: FloatArray, q: FloatArray, v: FloatArray) -> Setpoint:
+        """One tick of x'' = -w²·x - 2w·x', exactly; errors too large for the speed are cut."""
+        dt, w = self._tick_s, self._rate
+        furthest = 2.0 * (self._share or 0.0) / w * self._fastest
+        x = np.clip(away, -furthest, furthest)
+        left, k = exp(-w * dt), v + w * x
+        wanted = (v - w * k * dt) * left
+        step = STEEPEST_RAD_S2 * dt
+        after = np.clip(wanted, np.minimum(v, 0.0) - step, np.maximum(v, 0.0) + step)
+        moved = np.where(after == wanted, (x + k * dt) * left - x, 0.5 * dt * (v + after))
+        return np.array((q + moved, after, (after - v) / dt))
+
+
+class SpeedJ:
+    """URScript `speedj`: to a speed with an acceleration, then on and on.
+
+    Args:
+        tick_s: Device time of a tick.
+        arm: Whose limits hold; None for any.
+    """
+
+    def __init__(self, tick_s: float, arm: ArmDescription | None = None) -> None:
+        self._tick_s, self._arm = tick_s, arm
+        self._speed, self._a = np.zeros(6), 1.0
+
+    def aim(self, qd: Numbers, a: float) -> None:
+        """Turn with `qd` (6,) [rad/s]; the joint that has most to change does it with `a`."""
+        self._speed, self._a = np.array(qd, dtype=np.float64), abs(a) or 1.0
+        if self._arm is not None:
+            self._speed /= max(1.0, float((np.abs(self._speed) / self._arm.qd_max).max()))
+
+    def advance(self, now: Setpoint, scale: float) -> Setpoint | None:
+        """See `Motion`; the slider slows the speed that is aimed at. Never over by itself.
+
+        Raises:
+            MotionImpossible: With code 150 when a joint could hardly stop within its limits.
+        """
+        require_finite(self._speed, self._a)
+        v = _towards(now[1], scale * self._speed, self._a * self._tick_s, joint_size)
+        q = now[0] + 0.5 * self._tick_s * (now[1] + v)
+        if self._arm is not None:
+            require_stopping(self._arm, q, v)
+        return np.array((q, v, (v - now[1]) / self._tick_s))
+
+
+def _towards(now: FloatArray, goal: FloatArray, most: float, size: Size) -> FloatArray:
+    """All components change in proportion, by a change of at most this size."""
+    change = goal - now
+    whole = size(change)
+    return goal if whole <= most else now + change * (most / whole)
+
+
+class SpeedL:
+    """URScript `speedl`: the tool to a velocity with an acceleration, then on and on.
+
+    Args:
+        arm: A UR arm.
+        tcp: (6,) tool in the flange frame.
+        tick_s: Device time of a tick.
+    """
+
+    def __init__(self, arm: ArmDescription, tcp: Numbers, tick_s: float) -> None:
+        self._arm, self._tick_s = arm, tick_s
+        self._follower = ToolFollower(arm, tcp, tick_s)
+        self._speed, self._a = np.zeros(6), 1.0
+        self._twist: FloatArray | None = None
+
+    def aim(self, xd: Numbers, a: float) -> None:
+        """Move with `xd` (6,) [m/s, rad/s] in the base frame; speed up with `a` [m/s², rad/s²]."""
+        self._speed, self._a = np.array(xd, dtype=np.float64), abs(a) or 1.0
+
+    def advance(self, now: Setpoint, scale: float) -> Setpoint | None:
+        """See `SpeedJ.advance`.
+
+        Raises:
+            MotionImpossible: With code 150 near joint limits, 154 near a singularity.
+        """
+        require_finite(self._speed, self._a)
+        if self._twist is None:
+            self._twist = np.array(self._follower.twist(now))
+        goal, step = scale * self._speed, self._a * self._tick_s
+        self._twist = _towards(self._twist, goal, step, _larger_part)
+        setpoint = self._follower.drift(now, self._twist)
+        require_stopping(self._arm, setpoint[0], setpoint[1])
+        return setpoint
+
+
+def _larger_part(change: FloatArray) -> float:
+    """Of a twist: `speedl` speeds up its turn with as many rad/s² as its way with m/s²."""
+    return float(max(np.linalg.norm(change[:3]), np.linalg.norm(change[3:])))
+
+
+def require_stopping(arm: ArmDescription, q: FloatArray, v: FloatArray) -> None:
+    """Refuse to go on where no joint may be unable to stop within its limits any more.
+
+    Raises:
+        MotionImpossible: With code 150.
+    """
+    rest = q + v * np.abs(v) / (2.0 * LIMIT_BRAKE_RAD_S2)
+    beyond = ((rest > arm.q_max) & (v > 0)) | ((rest < arm.q_min) & (v < 0))
+    if beyond.any():
+        raise out_of(arm, int(beyond.argmax()))
+
+
+JOINTS_INSTEAD_RAD_S2 = 8.0
+"""Where the tool cannot be stopped on a straight line, the joints are, with this."""
+
+
+class StopJoints:
+    """URScript `stopj(a)`: the fastest joint decelerates with `a`, the others in proportion.
+
+    Args:
+        deceleration: [rad/s²].
+        tick_s: Device time of a tick.
+    """
+
+    def __init__(self, deceleration: float, tick_s: float) -> None:
+        self._a, self._tick_s = deceleration, tick_s
+
+    def advance(self, now: Setpoint, scale: float) -> Setpoint | None:
+        """See `Motion`; the speed slider does not delay a stop."""
+        speed = float(np.abs(now[1]).max())
+        if speed == 0.0:
+            return None
+        left = max(0.0, 1.0 - self._a * self._tick_s / speed)
+        v = now[1] * left
+        q = now[0] + 0.5 * (now[1] + v) * self._tick_s
+        return np.stack((q, v, (v - now[1]) / self._tick_s))
+
+
+class StopL:
+    """URScript `stopl(a)`: the tool decelerates on the line on which it moves.
+
+    A tool that moves mostly by turning decelerates its turn with as many rad/s². Near a
+    singularity the joints stop together instead: a stop never fails.
+
+    Args:
+        arm: A UR arm.
+        tcp: (6,) tool in the flange frame.
+        deceleration: [m/s²].
+        tick_s: Device time of a tick.
+    """
+
+    def __init__(
+        self, arm: ArmDescription, tcp: Numbers, deceleration: float, tick_s: float
+    ) -> None:
+        self._follower = ToolFollower(arm, tcp, tick_s)
+        self._a, self._tick_s = deceleration, tick_s
+        self._joints = StopJoints(JOINTS_INSTEAD_RAD_S2, tick_s)
+        self._straight = True
+        self._most = 0.0
+
+    def advance(self, now: Setpoint, scale: float) -> Setpoint | None:
+        """See `Motion`; the speed slider does not delay a stop."""
+        if self._straight:
+            try:
+                return self._on_the_line(now)
+            except MotionImpossible:
+                self._straight = False
+        return self._joints.advance(now, scale)
+
+    def _on_the_line(self, now: Setpoint) -> Setpoint | None:
+        """One tick; the joints must not get faster than they were when the stop began."""
+        fastest = float(np.abs(now[1]).max())
+        if fastest == 0.0:
+            return None
+        self._most = self._most or fastest
+        twist = np.array(self._follower.twist(now))
+        speed = float(max(np.linalg.norm(twist[:3]), np.linalg.norm(twist[3:])))
+        left = 1.0 - self._a * self._tick_s / speed if speed > 0.0 else 0.0
+        if not left > 0.0:
+            v = np.zeros(6)
+            return np.array((now[0] + 0.5 * self._tick_s * now[1], v, -now[1] / self._tick_s))
+        after = self._follower.drift(now, left * twist)
+        if np.abs(after[1]).max() > self._most:
+            raise MotionImpossible("the joints would get faster while the tool stops")
+        return after
+
+
+TOO_FAST = 1.001
+"""Share of a joint's speed limit that rounding and the step of time may take."""
+
+FEW_RAD = 1e-3
+"""A smaller turn's exponential map is told from its series [rad]."""
+
+
+class ToolFollower:
+    """Finds the joints that bring the tool where a path leads.
+
+    Args:
+        arm: Its lengths and speed limits.
+        tcp: (6,) tool in the flange frame.
+        tick_s: Device time of a tick.
+    """
+
+    def __init__(self, arm: ArmDescription, tcp: Numbers, tick_s: float) -> None:
+        self._arm, self._lengths = arm, lengths_of(arm)
+        self._tool = frame_of(tcp)
+        self._back = inverted(self._tool)
+        self._tick_s = tick_s
+
+    def setpoint(self, moment: Moment, anchor: FloatArray, pace: float, now: Setpoint) -> Setpoint:
+        """The next set-point.
+
+        Args:
+            moment: Where the path is, in tool coordinates.
+            anchor: (3,) rotation vector of the frame that they turn.
+            pace: Motion time per time.
+            now: The present set-point.
+
+        Raises:
+            MotionImpossible: With code 154: the way leads out of reach, or a joint would have to
+                turn faster than it can.
+        """
+        x, y, z, *turn = moment[0].tolist()
+        held = frame_of((x, y, z, *anchor.tolist()))
+        frame = compose(held, (*rotation_of(*turn), 0.0, 0.0, 0.0))
+        q = nearest(self._arm, compose(frame, self._back), now[0])
+        if q is None:
+            raise MotionImpossible("the way of the tool leads out of reach", SINGULARITY)
+        vx, vy, vz, *rates = (pace * moment[1]).tolist()
+        spin = turned(held, *_spin(turn, rates))
+        qd = self.joint_speeds(q, (vx, vy, vz, *spin))
+        if (np.abs(q - now[0]) > TOO_FAST * self._arm.qd_max * self._tick_s).any():
+            raise MotionImpossible("the joints would have to jump", SINGULARITY)
+        return np.array((q, qd, (qd - now[1]) / self._tick_s))
+
+    def joint_speeds(self, q: Numbers, twist: Numbers) -> FloatArray:
+        """Joint speeds (6,) [rad/s] that move the tool with a twist (6,).
+
+        Raises:
+            MotionImpossible: With code 154: there are none, or none that the joints can do.
+        """
+        J = np.array(self._jacobian(q)).reshape(6, 6)
+        qd: FloatArray
+        _, _, qd, singular = dgesv(J, np.array(twist))  # a third of the time of numpy's solve
+        if singular:
+            raise MotionImpossible("the tool cannot move in that direction", SINGULARITY)
+        beyond = np.abs(qd) > TOO_FAST * self._arm.qd_max
+        if beyond.any():
+            joint = int(beyond.argmax())
+            raise MotionImpossible(f"joint {joint + 1} cannot follow the tool", SINGULARITY)
+        return qd
+
+    def drift(self, now: Setpoint, twist: FloatArray) -> Setpoint:
+        """The set-point after a tick at whose end the tool moves with a twist (6,).
+
+        Raises:
+            MotionImpossible: See `joint_speeds`.
+        """
+        ahead = now[0] + self._tick_s * now[1]
+        qd = self.joint_speeds(ahead, twist)
+        q = now[0] + 0.5 * self._tick_s * (now[1] + qd)
+        return np.array((q, qd, (qd - now[1]) / self._tick_s))
+
+    def twist(self, now: Setpoint) -> list[float]:
+        """Velocity (6,) of the tool at a set-point, [m/s] and [rad/s]."""
+        return twist_of(self._jacobian(now[0]), now[1])
+
+    def _jacobian(self, q: Numbers) -> list[float]:
+        posture = Posture(self._lengths, q)
+        tool = compose(posture.flange, self._tool)
+        return posture.jacobian((tool[9], tool[10], tool[11]))
+
+
+def _spin(turn: list[float], rates: list[float]) -> Triple:
+    """Angular velocity of a rotation vector that changes (left Jacobian of SO(3))."""
+    x, y, z = turn
+    u, v, w = rates
+    cx, cy, cz = y * w - z * v, z * u - x * w, x * v - y * u
+    square = x * x + y * y + z * z
+    if square < FEW_RAD**2:
+        b, c = 0.5 - square / 24.0, 1.0 / 6.0 - square / 120.0
+    else:
+        angle = square**0.5
+        b, c = (1.0 - cos(angle)) / square, (angle - sin(angle)) / (square * angle)
+    return (
+        u + b * cx + c * (y * cz - z * cy),
+        v + b * cy + c * (z * cx - x * cz),
+        w + b * cz + c * (x * cy - y * cx),
+    )
