@@ -39,14 +39,13 @@ from hil.estimators.covariance import correlated_samples
 from hil.estimators.least_squares import JointwiseQR, Solution, jointwise_least_squares
 from hil.estimators.model_file import (
     ARRAYS_FILE,
-    MODEL_FILE,
     Training,
-    only_model,
     read_arrays,
     read_document,
     restore_robot,
     save_model,
 )
+from hil.estimators.model_folder import MODEL_FILE, only_model
 from hil.estimators.parameters import Parametrised, require_known
 from hil.estimators.streaming import MemorylessStream
 

@@ -8,7 +8,8 @@ give equal bytes.
 
 This module knows files but no estimators: it writes what a model tells of itself (`save_model`) and
 reads documents, arrays and robots back, and refuses what is damaged, newer than this hil, or of an
-arm whose description has changed. `hil.estimators.base.load_model_file` makes a model of them.
+arm whose description has changed. `hil.estimators.base.load_model_file` makes a model of them;
+which folder a path means is for `hil.estimators.model_folder` to say.
 """
 
 from __future__ import annotations
@@ -28,9 +29,10 @@ from hil.arms import Payload, require_same_arm
 from hil.core import DataError, FitError, FloatArray, SpecError, json_text
 from hil.data import Dataset, Sketch
 from hil.dynamics import MOTOR_SIDE, RobotModel
+from hil.estimators.model_folder import MODEL_FILE
 
 MODEL_FORMAT = 1
-MODEL_FILE, ARRAYS_FILE, URDF_FILE = "model.json", "model.safetensors", "robot.urdf"
+ARRAYS_FILE, URDF_FILE = "model.safetensors", "robot.urdf"
 
 ROWS_ARRAY = "training_rows"
 """Array that holds the fingerprints of the training data."""
@@ -200,51 +202,6 @@ def read_arrays(path: Path, digest: str) -> dict[str, FloatArray]:
                 f"{path}: {name} holds {values.dtype}, no real numbers", hint="fit the model again"
             )
     return arrays
-
-
-def models_below(folder: Path) -> list[Path]:
-    """Folders of models in a folder, and in `fit` where it is a run, by name."""
-    files = (file for under in ("*", "fit/*") for file in folder.glob(f"{under}/{MODEL_FILE}"))
-    return sorted(file.parent for file in files)
-
-
-EXAMPLE = "name a folder such as RUN/fit/rigid-hysteresis-… or models/rigid-hysteresis-…"
-
-
-def only_model(path: Path) -> Path:
-    """The folder of the model at a path, or of the only one below it.
-
-    Raises:
-        DataError: There is none, or there are several, which are listed.
-    """
-    if (path / MODEL_FILE).is_file():
-        return path
-    below = models_below(path) if path.is_dir() else []
-    if len(below) == 1:
-        return below[0]
-    if below:
-        raise DataError(
-            f"{path} holds {len(below)} models: {', '.join(map(str, below))}", hint="give one"
-        )
-    raise DataError(f"{path} {_lack(path)}", hint=_where(path))
-
-
-def _lack(path: Path) -> str:
-    if not path.exists():
-        return "is no model folder: it does not exist"
-    if not path.is_dir():
-        return "is a file, no model folder"
-    if (path / "start.json").is_file():
-        return "is a run without a model"
-    return f"is no model folder: there is no {MODEL_FILE} in it"
-
-
-def _where(path: Path) -> str:
-    if (path / "start.json").is_file():
-        return f"fit one: hil fit {path} --estimator NAME"
-    if path.is_file() and (path.parent / MODEL_FILE).is_file():
-        return f"give the folder it lies in: {path.parent}"
-    return EXAMPLE
 
 
 def store_robot(robot: RobotModel) -> tuple[dict[str, Any], bytes | None]:
