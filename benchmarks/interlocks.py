@@ -16,7 +16,7 @@ from hil.dynamics.sample_distances import SampleDistances
 from hil.engine.interlocks import InterlockContext, Interlocks, interlocks_from_spec
 from hil.planning.build import build_plan
 from hil.planning.plan import Plan
-from hil.planning.surroundings import collision_model
+from hil.planning.workspace import collision_model
 from hil.robot import Status, state_dtype
 from hil.spec import ExperimentSpec, StationRobot
 

@@ -12,7 +12,7 @@ from hil.arms.payload import Payload
 from hil.core.errors import PreflightFailed
 from hil.engine import Outcome
 from hil.planning.plan import Plan
-from hil.spec.weigh import Weigh
+from hil.spec.experiment import Weigh
 
 MASSES = (0.5, 1, 2, 3, 5)
 

@@ -13,7 +13,7 @@ from hil.cli.app import EXIT_CODES, app
 from hil.cli.explaining import _example
 from hil.core import errors
 from hil.core.errors import HilError, SpecError
-from hil.spec.describe import MODELS, KeyInfo, explain_key, keys_below, reference
+from hil.spec.documentation import MODELS, KeyInfo, explain_key, keys_below, reference
 
 
 def invoke(*words: str) -> Result:

@@ -16,10 +16,9 @@ from hil.arms.description import _parsed
 from hil.cli.app import app
 from hil.core.errors import DataError, SpecError
 from hil.spec import load_spec, load_station
-from hil.spec.commented import COLUMN, WIDTH, commented
+from hil.spec.documentation import COLUMN, WIDTH, commented, schema_files
+from hil.spec.draft import DRAFT_KINDS
 from hil.spec.experiment import ExperimentSpec
-from hil.spec.new import DRAFT_KINDS
-from hil.spec.schema import schema_files
 
 URDF = Path(__file__).with_name("own_arm.urdf")
 EXPERIMENTS = ("dwell", "fourier", "load-sweep")
@@ -271,7 +270,7 @@ def test_any_urdf_can_be_named(urdf: str) -> None:
 
 
 def test_nothing_is_written_that_is_not_valid(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hil.spec.new.as_scalar", lambda text: text)
+    monkeypatch.setattr("hil.spec.draft.as_scalar", lambda text: text)
     assert "must be text" in refused("dwell", "--name", "007").message
     assert not list(Path().iterdir())
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from hil.core.errors import SpecError
+from hil.spec.experiment import Weigh
 from hil.spec.load import load_spec
-from hil.spec.weigh import Weigh
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "how-to" / "load-sweep.md").read_text("utf-8")

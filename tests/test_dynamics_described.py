@@ -13,7 +13,7 @@ from hil.core.errors import SpecError
 from hil.dynamics.dh_from_urdf import described
 from hil.dynamics.robot_model import RobotModel, load_model
 from hil.planning.custom_arm import own_arm_drafts
-from hil.planning.place import plannable_arm
+from hil.planning.workspace import plannable_arm
 from hil.spec.station import StationRobot
 
 URDF = Path(__file__).with_name("own_arm.urdf")

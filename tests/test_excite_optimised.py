@@ -11,8 +11,8 @@ from hil.arms import load_arm
 from hil.core.errors import PlanError
 from hil.dynamics.build import model_from_arm
 from hil.excitation.motion import FourierSeries
-from hil.planning.place import workspace_of
 from hil.planning.plan import Plan
+from hil.planning.workspace import workspace_of
 from hil.spec.experiment import ExperimentSpec
 
 ARM = load_arm("ur5")

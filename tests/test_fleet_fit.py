@@ -32,7 +32,7 @@ from hil.models.fleet_fit_task import FitResult, How, fit_at, fit_learnt, learnt
 from hil.models.fleet_fitting import computed, fit_runs
 from hil.models.fleet_robot_fit import kept, registered
 from hil.models.model_registry import Registry
-from hil.spec.judged import ContradictedLimit, HoldOut, RmseLimit
+from hil.spec.experiment import ContradictedLimit, HoldOut, RmseLimit
 from hil.workflow.running import run as run_experiment
 
 HOW = How("rigid-wls")

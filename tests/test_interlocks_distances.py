@@ -16,7 +16,7 @@ from hil.dynamics import Box, CollisionModel, Environment, Plane, RobotModel, pa
 from hil.dynamics.collision import FlangeSpace
 from hil.dynamics.sample_distances import SampleDistances
 from hil.engine.interlocks import InterlockContext, LeastDistance, Trip
-from hil.planning.interlocks import flange_space
+from hil.planning.checks import flange_space
 
 LOAD = Payload(3.0, (0.0, 0.0, 0.05))
 AROUND = Environment(

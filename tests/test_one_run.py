@@ -21,7 +21,7 @@ from hil.core.yaml import parse
 from hil.dynamics import base, build, collision
 from hil.engine import interlocks as interlock_builder
 from hil.estimators import rigid_linear
-from hil.planning import robots, surroundings
+from hil.planning import robots, workspace
 
 SPEC = """\
 hil: 1
@@ -95,7 +95,7 @@ def traced() -> Trace:
 @contextmanager
 def profiled(trace: Trace) -> Iterator[None]:
     """Trace this thread and those that begin meanwhile, with nothing cached from other tests."""
-    for cache in (description._parsed, build._built, surroundings._built, base._sampled):
+    for cache in (description._parsed, build._built, workspace._built, base._sampled):
         cache.cache_clear()
     before = sys.getprofile()
     sys.setprofile(trace)

@@ -19,8 +19,8 @@ from hil.arms import load_arm
 from hil.core.errors import PlanError, SpecError
 from hil.dynamics import CollisionModel, Environment, Plane, RobotModel
 from hil.planning.build import build_plan
-from hil.planning.place import plannable_arm, roadmap_of, workspace_of
 from hil.planning.plan import Plan, Step
+from hil.planning.workspace import plannable_arm, roadmap_of, workspace_of
 
 FOURIER = {"kind": "fourier", "trajectories": 2}
 

@@ -18,8 +18,7 @@ from hil.core.errors import PlanError, SpecError
 from hil.excitation.motion import FourierSeries, Hold, Line
 from hil.planning.build import build_plan
 from hil.planning.commissioning import Commissioning, commissioning_of
-from hil.planning.plan import LoadStep, Plan, Step
-from hil.planning.plan_file import read_plan
+from hil.planning.plan import LoadStep, Plan, Step, read_plan
 from hil.planning.plan_preview import preview
 from hil.planning.swept_space import swept
 from hil.recording.mcap_reader import read_topic

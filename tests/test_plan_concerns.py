@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from hil.planning.concerns import concerns
+from hil.planning.plan_preview import concerns
 
 
 def test_an_ordinary_plan_raises_no_concern() -> None:

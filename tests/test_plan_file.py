@@ -16,9 +16,7 @@ from random_plans import plans, small_plan
 
 from hil.core.errors import DataError
 from hil.core.files import json_document
-from hil.planning.document import require_plan
-from hil.planning.plan import Plan
-from hil.planning.plan_file import read_plan
+from hil.planning.plan import Plan, read_plan, require_plan
 
 
 @examples(50)

@@ -12,8 +12,8 @@ from plan_parts import plan_of, spec_of
 from hil.arms import load_arm
 from hil.core.errors import PlanError, SpecError
 from hil.dynamics import RobotModel
+from hil.planning.checks import interlock_margins
 from hil.planning.experiment import Experiment, mock_bench
-from hil.planning.interlocks import interlock_margins
 from hil.planning.plan import Plan
 from hil.workflow.preview import preview_experiment
 

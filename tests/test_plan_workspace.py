@@ -18,10 +18,9 @@ from hil.excitation.program import Program, pose_visit
 from hil.excitation.roadmap import Roadmap
 from hil.excitation.sequencing import Arrangement
 from hil.excitation.workspace import Workspace, roomy_poses
-from hil.planning.approach import Approach
 from hil.planning.build import build_plan
-from hil.planning.place import checked_start, roadmap_of
 from hil.planning.plan import Plan
+from hil.planning.workspace import Approach, checked_start, roadmap_of
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.station import StationRobot
 

@@ -14,7 +14,7 @@ from hil.cli import candidates
 from hil.core.errors import SpecError
 from hil.core.yaml import DEEPEST_LOOK, look_into
 from hil.maintenance.fleet.members import spec_for
-from hil.spec.new import as_scalar
+from hil.spec.draft import as_scalar
 from hil_mock_robot.ur.faults import read_faults
 
 LINKED = "- &a0 [x]\n" + "".join(f"- &a{i} [*a{i - 1}]\n" for i in range(1, 200))

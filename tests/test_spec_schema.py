@@ -11,17 +11,19 @@ import pytest
 
 from hil.core.errors import SpecError
 from hil.core.yaml import read_source
-from hil.spec.describe import explain_key, keys_below, reference
-from hil.spec.experiment import ExperimentSpec
-from hil.spec.model_tree import Model, keys_of, tree
-from hil.spec.schedule import ScheduleSpec, is_schedule
-from hil.spec.schema import (
+from hil.spec.documentation import (
     experiment_schema,
+    explain_key,
+    keys_below,
+    reference,
     schedule_schema,
     schema_files,
     series_schema,
     station_schema,
 )
+from hil.spec.experiment import ExperimentSpec
+from hil.spec.model_tree import Model, keys_of, tree
+from hil.spec.schedule import ScheduleSpec, is_schedule
 from hil.spec.series import SeriesSpec, is_series
 from hil.spec.station import Station
 
@@ -194,13 +196,15 @@ def test_the_first_line_of_a_shipped_file_leads_editors_to_its_schema(path: Path
 def test_the_schema_files_are_up_to_date(name: str) -> None:
     written = (ROOT / "experiments" / "schema" / name).read_text("utf-8")
 
-    assert written == schema_files()[name], "run: python -m hil.spec.schema"
+    assert written == schema_files()[name], (
+        "run: python -m hil.spec.documentation experiments/schema"
+    )
 
 
 def test_the_reference_page_is_up_to_date() -> None:
     written = (ROOT / "docs" / "reference" / "spec.md").read_text("utf-8")
 
-    assert written == reference(), "run: python -m hil.spec.describe"
+    assert written == reference(), "run: python -m hil.spec.documentation docs/reference/spec.md"
 
 
 @pytest.mark.parametrize("model", [ExperimentSpec, Station, SeriesSpec, ScheduleSpec])

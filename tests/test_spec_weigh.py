@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from hil.core.errors import SpecError
+from hil.spec.documentation import experiment_schema
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.load import spec_from_text
-from hil.spec.schema import experiment_schema
 
 HEAD = "hil: 1\nname: a\nrobot: ur5\nexcitation: {kind: dwell}\n"
 

@@ -17,7 +17,7 @@ from hil.engine import Engine, RunResult
 from hil.planning.build import build_plan
 from hil.planning.plan import Plan, Step
 from hil.robot import Capabilities, state_dtype
-from hil.spec.weigh import Weigh
+from hil.spec.experiment import Weigh
 from hil.workflow.scales import gains_of, reading_of
 from hil.workflow.weighed_before import Readings
 from hil.workflow.weighing import Weighing

@@ -5,32 +5,41 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from hil.arms import ArmDescription
-from hil.core import FloatArray, HilError, PlanError, SpecError
+from hil.core import FloatArray, HilError, PlanError, SpecError, plugins
+from hil.dynamics import RobotModel
 from hil.excitation import (
     Action,
     Arrangement,
+    Computes,
+    Excitation,
+    ExcitationCache,
     Program,
     Roadmap,
+    Setting,
     Visit,
     Watch,
     Workspace,
     pose_visit,
     unwatched,
+    user_cache,
 )
+from hil.planning.checks import condition_number, excesses, interlock_margins, margins_of
 from hil.planning.commissioning import Commissioning
-from hil.planning.exciting import program_of, setting_of
-from hil.planning.interlocks import interlock_margins
-from hil.planning.limits import excesses
-from hil.planning.margins import margins_of
-from hil.planning.place import checked_start, plannable_arm, poses_of_file, roadmap_of, workspace_of
 from hil.planning.plan import DwellRule, LoadStep, Plan, Step
-from hil.planning.quality import condition_number
 from hil.planning.weighing import weigh_dwell, weigh_visits
-from hil.spec import Dwell, ExperimentSpec, StationRobot
+from hil.planning.workspace import (
+    checked_start,
+    plannable_arm,
+    poses_of_file,
+    roadmap_of,
+    workspace_of,
+)
+from hil.spec import Dwell, ExperimentSpec, StationRobot, WorkspaceInterlock
 
 REFERENCE_DELTA_DEG = 3.0
 
@@ -96,30 +105,6 @@ def build_plan(
         dwell=_dwell_rule(spec),
     )
     return _complete(plan if part is None else part.of(plan), spec, station_robot, arm, workspace)
-
-
-def _complete(
-    plan: Plan,
-    spec: ExperimentSpec,
-    station_robot: StationRobot,
-    arm: ArmDescription,
-    workspace: Workspace,
-) -> Plan:
-    """The plan with its margins; refuses a negative one."""
-    measured = [step.motion for step in plan if step.measures and step.motion]
-    weighed = any(step.kind == "weigh" for step in plan)
-    margins = margins_of(plan.steps, plan.loads, arm, station_robot.gravity_m_s2, workspace)
-    sizes = [load.size_m for load in plan.loads]
-    margins |= interlock_margins(
-        spec.interlocks, arm, sizes, plan.steps, workspace.rate_hz, margins["clearance_m"]
-    )
-    assert workspace.condition is not None
-    return replace(
-        plan,
-        weigh_dwell=weigh_dwell(plan.dwell, workspace.rate_hz) if weighed else None,
-        margins=margins,
-        condition_number=condition_number(workspace.condition, measured, workspace.rate_hz),
-    )
 
 
 def _default_reference(spec: ExperimentSpec, roadmap: Roadmap) -> Visit | None:
@@ -231,3 +216,105 @@ def _dwell_rule(spec: ExperimentSpec) -> DwellRule:
     return DwellRule(
         dwell.dwell_s, dwell.samples_per_dwell, dwell.settle_rad_s, dwell.settle_timeout_s
     )
+
+
+def _complete(
+    plan: Plan,
+    spec: ExperimentSpec,
+    station_robot: StationRobot,
+    arm: ArmDescription,
+    workspace: Workspace,
+) -> Plan:
+    """The plan with its margins; refuses a negative one."""
+    measured = [step.motion for step in plan if step.measures and step.motion]
+    weighed = any(step.kind == "weigh" for step in plan)
+    margins = margins_of(plan.steps, plan.loads, arm, station_robot.gravity_m_s2, workspace)
+    sizes = [load.size_m for load in plan.loads]
+    margins |= interlock_margins(
+        spec.interlocks, arm, sizes, plan.steps, workspace.rate_hz, margins["clearance_m"]
+    )
+    assert workspace.condition is not None
+    return replace(
+        plan,
+        weigh_dwell=weigh_dwell(plan.dwell, workspace.rate_hz) if weighed else None,
+        margins=margins,
+        condition_number=condition_number(workspace.condition, measured, workspace.rate_hz),
+    )
+
+
+def program_of(
+    spec: ExperimentSpec, roadmap: Roadmap, setting: Setting, folder: Path = Path()
+) -> Program:
+    """What a spec wants to be measured.
+
+    Args:
+        spec: Says which excitation.
+        roadmap: How to get about with every load of the spec.
+        setting: The robot, for an excitation that computes with its dynamics.
+        folder: Where relative paths in the spec start.
+
+    Raises:
+        SpecError, PlanError: What the spec asks for cannot be.
+        PluginError: The excitation is missing or does not load.
+    """
+    kind = plugins.load("hil.excitations", spec.excitation.kind)
+    excitation: Excitation = kind(spec.excitation, folder)
+    if isinstance(excitation, Computes):
+        excitation.compute_with(setting)
+    return excitation.program(roadmap)
+
+
+def setting_of(
+    spec: ExperimentSpec,
+    station_robot: StationRobot,
+    arm: ArmDescription,
+    workspace: Workspace,
+    *,
+    watch: Watch = unwatched,
+    cache: ExcitationCache | None = None,
+) -> Setting:
+    """The robot of a spec at its station, as far as its dynamics go.
+
+    Args:
+        spec: Says which loads.
+        station_robot: How the arm is mounted and what stands around it.
+        arm: Its description.
+        workspace: Where it may be, with every load of the spec.
+        watch: Is told how far trajectories are that take long to compute.
+        cache: Where those are kept; by default this user's.
+    """
+    collision: Any = workspace.collision  # a CollisionModel, which can do more than is asked of it
+    return Setting(
+        robot=RobotModel.from_arm(arm.name, gravity=station_robot.gravity_m_s2),
+        effort_max=arm.effort_max,
+        loads=tuple(load.payload() for load in spec.loads),
+        collision=collision,
+        identity=_confined(spec)
+        | {
+            "arm": {name: _plain(getattr(arm, name)) for name in _names(arm)},
+            "surroundings": station_robot.surroundings.model_dump(mode="json"),
+            "loads": [load.model_dump(mode="json", exclude={"prompt"}) for load in spec.loads],
+        },
+        cache=user_cache() if cache is None else cache,
+        watch=watch,
+    )
+
+
+def _confined(spec: ExperimentSpec) -> dict[str, Any]:
+    """Return what confines the flange, and nothing if it may go anywhere."""
+    confining = [
+        interlock.model_dump(mode="json")
+        for interlock in spec.interlocks
+        if isinstance(interlock, WorkspaceInterlock) and interlock.enabled
+    ]
+    return {"workspace": confining} if confining else {}
+
+
+def _plain(value: Any) -> Any:
+    """A field of an arm's description as JSON."""
+    return value.tolist() if isinstance(value, np.ndarray) else repr(value)
+
+
+def _names(arm: ArmDescription) -> list[str]:
+    """Of what an arm's motions depend on: all but where its numbers come from."""
+    return [field.name for field in fields(arm) if field.name != "sources"]

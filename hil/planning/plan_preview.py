@@ -1,14 +1,17 @@
-"""What a plan amounts to, before anything moves: `hil plan SPEC --json`."""
+"""What a plan amounts to, before anything moves: `hil plan SPEC --json`.
+
+It also says what is allowed and still worth a second look.
+"""
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from hil.arms import load_arm
-from hil.planning.concerns import concerns
 from hil.planning.plan import Plan, number_or_none
 from hil.planning.swept_space import Swept, swept
 from hil.planning.weighing import is_sweep, why_not_weighed
@@ -30,7 +33,7 @@ class PlanPreview:
         waypoints: Distinct poses that are dwelt at.
         duration_s: Estimate; dwells take as long as settling takes.
         recording_bytes: Estimated size of the recording.
-        margins: Smallest distance to every limit (see `hil.planning.margins`).
+        margins: Smallest distance to every limit (see `hil.planning.checks`).
         condition_number: Of the column-scaled base regressor on the measuring samples.
         hash: The plan's identity.
         steps: Number of steps of each kind, in the order in which they first occur.
@@ -100,11 +103,45 @@ def _not_weighed(plan: Plan) -> list[str]:
     return [f"no load is weighed: {reason}"] if reason and is_sweep(plan) else []
 
 
+def _samples(plan: Plan) -> int:
+    return round(plan.duration_s * plan.rate_hz)
+
+
 def recording_bytes(plan: Plan) -> int:
     """Estimated size of the recording: state rows as compressed, and the attached plan."""
     row = state_dtype(len(plan.joint_names)).itemsize
     return round(_samples(plan) * row * COMPRESSION) + BYTES_PER_STEP * len(plan)
 
 
-def _samples(plan: Plan) -> int:
-    return round(plan.duration_s * plan.rate_hz)
+HIGHEST_CONDITION = 1000.0
+"""Of the column-scaled regressor; noise then reaches some parameters a thousandfold."""
+
+LONGEST_S = 12 * 3600.0
+LARGEST_BYTES = 20e9
+
+
+def concerns(condition_number: float, duration_s: float, recording_bytes: float) -> Iterator[str]:
+    """One sentence for everything about a plan that is allowed but hardly meant.
+
+    Args:
+        condition_number: See `hil.planning.checks`; infinite when parameters are not determined.
+        duration_s: Estimated duration [s].
+        recording_bytes: Estimated size of the recording.
+    """
+    if math.isinf(condition_number):
+        yield (
+            "the motion does not tell all parameters apart (infinite condition number): a fit "
+            "will be refused; plan more poses or trajectories, or larger ranges"
+        )
+    elif condition_number > HIGHEST_CONDITION:
+        yield (
+            f"the condition number is {condition_number:.0f}, above {HIGHEST_CONDITION:.0f}: some "
+            "parameters will be mostly noise; plan more poses or trajectories, or larger ranges"
+        )
+    if duration_s > LONGEST_S:
+        yield f"the program takes {duration_s / 3600:.1f} h, more than {LONGEST_S / 3600:.0f} h"
+    if recording_bytes > LARGEST_BYTES:
+        yield (
+            f"the recording takes about {recording_bytes / 1e9:.0f} GB, more than "
+            f"{LARGEST_BYTES / 1e9:.0f} GB"
+        )

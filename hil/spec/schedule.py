@@ -12,8 +12,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from hil.core import Duration, Source, SpecError, read_source
 from hil.spec.field_types import Finite, FormatVersion, Name, Positive, Seed, Strict, mistake
-from hil.spec.load import refuse_other_kind, validated
-from hil.spec.named_files import make_absolute
+from hil.spec.load import make_absolute, refuse_other_kind, validated
 
 KEY = "hil_schedule"
 

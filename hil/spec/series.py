@@ -8,8 +8,7 @@ from pydantic import Field
 
 from hil.core import KeyPath, Source, SpecError, read_source
 from hil.spec.field_types import FormatVersion, Name, Strict
-from hil.spec.load import refuse_other_kind, validated
-from hil.spec.named_files import make_absolute
+from hil.spec.load import make_absolute, refuse_other_kind, validated
 
 KEY = "hil_series"
 

@@ -23,7 +23,7 @@ import hil
 from hil.cli.app import _end_like_ctrl_c
 from hil.core.errors import HilError, exit_code_of
 from hil.engine import Reply
-from hil.planning.plan_file import read_plan
+from hil.planning.plan import read_plan
 from hil.recording import recorder as recorder_module
 from hil.recording.mcap_writer import McapWriter
 from hil.workflow import recording, running

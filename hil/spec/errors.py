@@ -1,12 +1,19 @@
-"""What to tell a lab engineer about a finding: one plain sentence per kind of mistake."""
+"""What to tell a lab engineer about a mistake in a file: one plain sentence per kind of mistake.
+
+Pydantic's errors become findings first: at the file's own paths, without what only follows from
+another one.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, NamedTuple, get_args
+
+from pydantic_core import ErrorDetails
 
 from hil.core import (
+    MOST_PROBLEMS,
     KeyPath,
     Problem,
     Source,
@@ -21,8 +28,56 @@ from hil.core import (
     split_unit,
     symbol_of,
 )
-from hil.spec.findings import Finding
-from hil.spec.model_tree import Model, choices_of, is_model, keys_of, kinds_of, plain, tree
+from hil.spec.model_tree import Model, choices_of, is_model, keys_of, kinds_of, locate, plain, tree
+
+
+class Finding(NamedTuple):
+    """One error of pydantic, told in terms of the file.
+
+    Attributes:
+        type: Pydantic's name for this kind of error.
+        path: Keys in the file, without union tags.
+        about_key: True when the key is wrong and not its value.
+        expected: Annotation of what belongs there, None if nothing does.
+        holder: Annotation of the mapping or list around it.
+        value: What was found; the mapping or list around for something missing.
+        ctx: Pydantic's details, such as the limit that was passed.
+        told: Pydantic's own message.
+    """
+
+    type: str
+    path: KeyPath
+    about_key: bool
+    expected: Any
+    holder: Any
+    value: Any
+    ctx: Mapping[str, Any]
+    told: str
+
+    @property
+    def key(self) -> str:
+        """The last step of the path that is a key."""
+        return next((step for step in reversed(self.path) if isinstance(step, str)), "")
+
+    @property
+    def known_keys(self) -> list[str]:
+        """The keys that the mapping around may have."""
+        return list(keys_of(self.holder)) if is_model(self.holder) else []
+
+    @property
+    def meant(self) -> str | None:
+        """The known key that an unknown one most likely stands for."""
+        return same_quantity(self.key, self.known_keys) or closest(self.key, self.known_keys)
+
+    @property
+    def is_gap(self) -> bool:
+        """True for a value missing at the end of a list of fixed length."""
+        return self.type == "missing" and bool(self.path) and isinstance(self.path[-1], int)
+
+    @property
+    def length(self) -> int:
+        """How many values the list of fixed length around a gap has to have."""
+        return len(get_args(self.holder))
 
 
 def explain(finding: Finding, model: Model, source: Source) -> Problem:
@@ -36,21 +91,6 @@ def explain(finding: Finding, model: Model, source: Source) -> Problem:
         sentence = _SENTENCES.get(finding.type)
         message = sentence(finding) if sentence else finding.told
     return Problem(source.mark(path, key=finding.about_key), path, message)
-
-
-def _what_to_give(source: Source, path: KeyPath) -> str:
-    """What to do about a key without a value; an option of the command line removes none."""
-    if source.mark(path).line:
-        return "give it one, or remove the key"
-    return "write one behind the = (an empty list is [], an empty text '')"
-
-
-def name_of(value: Any) -> str:
-    """What a value is, as a person would say it."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    names = {type(None): "nothing", list: "a list", dict: "a mapping", str: f"'{shown(value)}'"}
-    return names.get(type(value)) or shown(value)
 
 
 def _unknown_key(f: Finding, model: Model) -> str:
@@ -80,6 +120,50 @@ def _home_of(f: Finding, model: Model) -> str:
     return ""
 
 
+def _what_to_give(source: Source, path: KeyPath) -> str:
+    """What to do about a key without a value; an option of the command line removes none."""
+    if source.mark(path).line:
+        return "give it one, or remove the key"
+    return "write one behind the = (an empty list is [], an empty text '')"
+
+
+def findings_of(errors: Iterable[ErrorDetails], model: Model, source: Source) -> list[Finding]:
+    """The errors in the order of the file."""
+    findings = sorted(
+        (_finding(error, model) for error in errors),
+        key=lambda f: source.mark(f.path, key=f.about_key),
+    )
+    unknown = [f for f in findings if f.type == "extra_forbidden"][:MOST_PROBLEMS]
+    meant = {(*f.path[:-1], f.meant) for f in unknown}
+    # Whatever echoes what: something is wrong, and it must be said.
+    return [f for f in findings if not _is_echo(f, meant)] or findings
+
+
+def _finding(error: ErrorDetails, model: Model) -> Finding:
+    loc, kind, ctx = error["loc"], error["type"], error.get("ctx", {})
+    path, expected = locate(model, loc)
+    holder = plain(locate(model, loc[:-1])[1])
+    if kind == "mistake":
+        path = (*path, *ctx["at"])
+    elif kind in ("union_tag_invalid", "union_tag_not_found"):
+        path = (*path, "kind")
+    about_key = kind == "extra_forbidden" or loc[-1:] == ("[key]",)
+    return Finding(kind, path, about_key, expected, holder, error["input"], ctx, error["msg"])
+
+
+def _is_echo(finding: Finding, meant: set[tuple[str | int | None, ...]]) -> bool:
+    """True for what a slip reported elsewhere made pydantic say as well."""
+    if finding.is_gap:
+        return finding.path[-1] != len(finding.value)
+    if finding.type == "missing":
+        return finding.path in meant
+    # A list whose items are wrong counts as empty for pydantic.
+    is_list = isinstance(finding.value, list)
+    return (
+        finding.type == "too_short" and is_list and len(finding.value) >= finding.ctx["min_length"]
+    )
+
+
 def _missing(f: Finding) -> str:
     if f.is_gap:
         return f"needs {f.length} values, but has {len(f.value)}"
@@ -106,6 +190,14 @@ def _slip_in_number(text: str) -> str:
     if re.fullmatch(r"[-+]?\d+,\d+", text):
         return ": decimals take a point"
     return ": write it without '_'" if re.fullmatch(r"[-+]?\d+(_\d+)+", text) else ""
+
+
+def name_of(value: Any) -> str:
+    """What a value is, as a person would say it."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    names = {type(None): "nothing", list: "a list", dict: "a mapping", str: f"'{shown(value)}'"}
+    return names.get(type(value)) or shown(value)
 
 
 def _limit(words: str, name: str) -> Callable[[Finding], str]:
@@ -143,19 +235,19 @@ def _text(f: Finding) -> str:
     return f"must be text: put it in quotes, '{name_of(f.value)}'"
 
 
-def _mapping(f: Finding) -> str:
-    inner = plain(f.expected)
-    keys = list(keys_of(inner)) if is_model(inner) else ["kind"] if kinds_of(inner) else []
-    known = f" with keys such as {', '.join(keys[:3])}" if keys else ""
-    return f"must be a mapping{known}, not {name_of(f.value)}"
-
-
 def _too_long(f: Finding) -> str:
     return f"needs {f.ctx['max_length']} values, but has {f.ctx['actual_length']}"
 
 
 def _too_short(f: Finding) -> str:
     return f"must not be empty: at least {f.ctx['min_length']} needed"
+
+
+def _mapping(f: Finding) -> str:
+    inner = plain(f.expected)
+    keys = list(keys_of(inner)) if is_model(inner) else ["kind"] if kinds_of(inner) else []
+    known = f" with keys such as {', '.join(keys[:3])}" if keys else ""
+    return f"must be a mapping{known}, not {name_of(f.value)}"
 
 
 _SENTENCES: dict[str, Callable[[Finding], str]] = {

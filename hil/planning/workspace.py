@@ -1,21 +1,22 @@
-"""Where a spec's robot may be: its arm, its workspace, and the ways through it."""
+"""Where a spec's robot may be: its arm, what stands around it, and the ways through the rest."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
-from hil.arms import ArmDescription, arm_names, is_described, load_arm
+from hil.arms import ArmDescription, Capsule, Payload, arm_names, is_described, load_arm
 from hil.core import FloatArray, PlanError
-from hil.excitation import STANDSTILL_RAD, Roadmap, Workspace, read_waypoints, roomy_poses
-from hil.planning.interlocks import declared_space
-from hil.planning.limits import draw_range
-from hil.planning.quality import condition_score
-from hil.planning.surroundings import collision_model
-from hil.spec import Dwell, ExperimentSpec, Fourier, StationRobot
+from hil.dynamics import Box, CollisionModel, Environment, Plane, payload_capsule
+from hil.excitation import STANDSTILL_RAD, Line, Roadmap, Workspace, read_waypoints, roomy_poses
+from hil.planning.checks import BodySize, condition_score, declared_space, draw_range
+from hil.spec import Dwell, ExperimentSpec, Fourier, StationRobot, Surroundings
 
 ROADMAP_POSES = 48
+
 CONFINED_ROADMAP_POSES = 96
 """Where the flange is confined fewer straight lines are clear: below a height of 0.5 m 48 poses
 connect 37 % of the clear ones of a UR5, 96 connect 50 %, and 144 no more."""
@@ -98,6 +99,15 @@ def roadmap_of(
     return Roadmap(workspace, poses, wanted=wanted, start=start)
 
 
+def _require_pose(start: FloatArray, workspace: Workspace) -> None:
+    if start.shape != (len(workspace.joint_names),) or not np.isfinite(start).all():
+        raise PlanError(
+            f"the robot's current pose is {start.tolist()}, "
+            f"not {len(workspace.joint_names)} joint positions",
+            hint="see whether the robot is powered and its encoders are read",
+        )
+
+
 def _some_clear(workspace: Workspace, q: FloatArray) -> FloatArray:
     """Return clear ones of `q` (k, n) that differ, at most `MOST_WANTED`."""
     chosen: list[FloatArray] = []
@@ -155,10 +165,105 @@ def checked_start(start: FloatArray, roadmap: Roadmap) -> FloatArray:
     return start
 
 
-def _require_pose(start: FloatArray, workspace: Workspace) -> None:
-    if start.shape != (len(workspace.joint_names),) or not np.isfinite(start).all():
-        raise PlanError(
-            f"the robot's current pose is {start.tolist()}, "
-            f"not {len(workspace.joint_names)} joint positions",
-            hint="see whether the robot is powered and its encoders are read",
-        )
+def collision_model(
+    arm: ArmDescription,
+    surroundings: Surroundings,
+    loads: Sequence[tuple[Payload, BodySize | None]],
+) -> CollisionModel:
+    """Distances of the arm to itself, its surroundings and a body that holds every load.
+
+    One body for all loads lets every load see the same program. Planning, preflight and interlocks
+    ask for the same model: it is built once and, as nothing in it changes, shared.
+    """
+    capsules = [body for load, size in loads if (body := _capsule(load, size, arm.n_joints))]
+    return _built(arm, _environment(surroundings), envelope(capsules) if capsules else None)
+
+
+def _capsule(load: Payload, size: BodySize | None, flange_link: int) -> Capsule | None:
+    if size is None:
+        return payload_capsule(load, flange_link)
+    length, radius = size
+    return Capsule(flange_link, (0.0, 0.0, 0.0), (0.0, 0.0, length), radius)
+
+
+@lru_cache(maxsize=16)
+def _built(arm: ArmDescription, around: Environment, payload: Capsule | None) -> CollisionModel:
+    return CollisionModel(arm, around, payload)
+
+
+def _environment(surroundings: Surroundings) -> Environment:
+    return Environment(
+        table_z=surroundings.table_z_m,
+        walls=tuple(Plane(w.point_m, w.normal, w.name) for w in surroundings.walls),
+        boxes=tuple(Box(b.centre_m, b.size_m, b.name) for b in surroundings.boxes),
+    )
+
+
+def envelope(capsules: Sequence[Capsule]) -> Capsule:
+    """One capsule that holds all of several that begin at the same point.
+
+    It takes the longest axis. Every other axis strays from it no further than its own end does,
+    distance to a convex set being convex.
+    """
+    ends = [np.array(capsule.b) for capsule in capsules]
+    longest = max(ends, key=lambda end: float(end @ end))
+    radius = max(
+        capsule.radius + _off_axis(end, longest)
+        for capsule, end in zip(capsules, ends, strict=True)
+    )
+    x, y, z = (float(c) for c in longest)
+    return Capsule(capsules[0].link, (0.0, 0.0, 0.0), (x, y, z), radius)
+
+
+def _off_axis(point: FloatArray, end: FloatArray) -> float:
+    """Distance of `point` to the segment from the origin to `end`."""
+    squared = float(end @ end)
+    along = min(max(float(point @ end) / squared, 0.0), 1.0) if squared > 0 else 0.0
+    return float(np.linalg.norm(point - along * end))
+
+
+class Approach:
+    """Finds ways in the workspace of an experiment, within its speeds and clearances.
+
+    Args:
+        spec: The experiment.
+        station_robot: Its robot and what stands around it.
+        rate_hz: The plan's rate.
+        here: (n,) where the arm stands [rad].
+        targets: (k, n) poses of the plan, where it may go on [rad].
+
+    Raises:
+        PlanError: The arm cannot leave that pose safely.
+    """
+
+    def __init__(
+        self,
+        spec: ExperimentSpec,
+        station_robot: StationRobot,
+        *,
+        rate_hz: float,
+        here: FloatArray,
+        targets: FloatArray,
+    ) -> None:
+        arm = load_arm(station_robot.model)
+        workspace = workspace_of(spec, station_robot, arm, rate_hz)
+        self._roadmap = roadmap_of(workspace, wanted=targets, start=here)
+        checked_start(here, self._roadmap)
+
+    def way(self, here: FloatArray, target: FloatArray) -> Sequence[Line]:
+        """Clear lines from one joint position (n,) to another [rad].
+
+        Raises:
+            PlanError: There are none.
+        """
+        lines = self._roadmap.way(here, target)
+        if lines is None:
+            raise PlanError(
+                f"no clear path leads from {_degrees(here)} to {_degrees(target)}",
+                hint="jog the robot to a pose with more room around it and resume from there",
+            )
+        return lines
+
+
+def _degrees(q: FloatArray) -> str:
+    return f"({', '.join(f'{angle:.1f}' for angle in np.degrees(q))})°"

@@ -10,23 +10,17 @@ from pathlib import Path
 import yaml
 
 from hil.core import SpecError, look_into, parse, shown
-from hil.spec.commented import commented
+from hil.spec.documentation import commented, schema_files
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.field_types import Strict
 from hil.spec.load import validated
 from hil.spec.schedule import ScheduleSpec
-from hil.spec.schema import schema_files
 from hil.spec.station import Station
 
 SCHEMA_FOLDER = "schema"
 """Beside what is written: a relative path works with every editor, in every checkout, without a
 network, wherever hil is installed."""
 
-_MODELS: dict[str, tuple[str, type[Strict]]] = {
-    "hil": ("experiment", ExperimentSpec),
-    "hil_station": ("station", Station),
-    "hil_schedule": ("schedule", ScheduleSpec),
-}
 DRAFT_KINDS = {
     "dwell": "gravity and static friction from poses at rest",
     "fourier": "rigid body and friction from periodic trajectories",
@@ -75,11 +69,12 @@ def render(template: str, words: dict[str, str]) -> str:
     return head + commented(text, model)
 
 
-_WORD = re.compile(r"@(\w+)@")
 _TEXT = re.compile(
     r"(?P<before> *(\w+: (?![\[{]))?)(?P<text>(?! *(\w+: |- ))[^#]*@\w+@.*?)(?P<after>:?(  #.*)?)"
 )
 """A line whose value, or whose key, is made of words; lists have numbers."""
+
+_WORD = re.compile(r"@(\w+)@")
 
 
 def _filled(line: str, words: dict[str, str]) -> str:
@@ -93,6 +88,18 @@ def _filled(line: str, words: dict[str, str]) -> str:
 
 def _put(line: str, words: dict[str, str]) -> str:
     return _WORD.sub(lambda word: shown(words[word[1]], 300), line)
+
+
+_MODELS: dict[str, tuple[str, type[Strict]]] = {
+    "hil": ("experiment", ExperimentSpec),
+    "hil_station": ("station", Station),
+    "hil_schedule": ("schedule", ScheduleSpec),
+}
+
+
+def _kinds_of(text: str) -> list[tuple[str, type[Strict]]]:
+    """Name of the schema and model of a file by the key it begins with; of an arm none."""
+    return [kind for key, kind in _MODELS.items() if f"\n{key}: 1\n" in text]
 
 
 def as_scalar(text: str) -> str:
@@ -121,11 +128,6 @@ def require_valid(drafts: list[Draft]) -> None:
     for draft in drafts:
         for _, model in _kinds_of(draft.text):
             validated(parse(draft.text, str(draft.path)), model)
-
-
-def _kinds_of(text: str) -> list[tuple[str, type[Strict]]]:
-    """Name of the schema and model of a file by the key it begins with; of an arm none."""
-    return [kind for key, kind in _MODELS.items() if f"\n{key}: 1\n" in text]
 
 
 def schemas_beside(drafts: list[Draft]) -> list[Draft]:

@@ -1,0 +1,448 @@
+"""What a spec asks of an arm against what the arm can do, before a plan and for the plan itself.
+
+`excesses` finds what the spec alone rules out. A plan is refused where a set-point is beyond a
+limit (`margins_of`) or where its own motion would trip one of its interlocks
+(`interlock_margins`); else the margins say how far it stays away from each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from hil.arms import ArmDescription, Payload
+from hil.core import FloatArray, KeyPath, PlanError
+from hil.dynamics import FlangeSpace, Plane, RobotModel, base_parameters, conditioning, least_along
+from hil.excitation import Motion, Space, Workspace, outside
+from hil.planning.plan import Extremes, LoadStep, Step, extremes_of
+from hil.spec import (
+    ClearanceInterlock,
+    Dwell,
+    Excess,
+    ExperimentSpec,
+    Fourier,
+    Interlock,
+    WorkspaceInterlock,
+)
+
+BodySize = tuple[float, float]
+"""Length and radius along the flange axis [m]."""
+
+SOME_POSES = 16384
+"""Number of random poses tried; at least one must lie inside the workspace, because planning
+needs several among that many."""
+
+
+def excesses(
+    spec: ExperimentSpec, arm: ArmDescription, robot_hz: float, clearance_m: float
+) -> list[Excess]:
+    """One for every value of `spec` that the robot cannot do.
+
+    Args:
+        spec: What is asked.
+        arm: The limits.
+        robot_hz: Rate at which the robot takes set-points and reports its state.
+        clearance_m: Distance that the station keeps to everything.
+    """
+    ranges = [*_beyond_range(spec.excitation, arm), *_reference(spec, arm)]
+    return [
+        *_other_rate(spec, robot_hz),
+        *_too_fast(spec.excitation, arm),
+        *ranges,
+        *([] if ranges else _confined(spec, arm, clearance_m)),
+        *(
+            Excess(
+                ("loads", i, "mass_kg"),
+                f"{load.mass_kg:g} kg is beyond the {arm.payload_max_kg:g} kg the {arm.name} "
+                "is rated for",
+            )
+            for i, load in enumerate(spec.loads)
+            if load.mass_kg > arm.payload_max_kg
+        ),
+    ]
+
+
+def _beyond_range(excitation: Dwell | Fourier, arm: ArmDescription) -> Iterator[Excess]:
+    if excitation.range_deg is None:
+        return
+    if len(excitation.range_deg) != arm.n_joints:
+        yield Excess(
+            ("excitation", "range_deg"),
+            f"{len(excitation.range_deg)} ranges, but the {arm.name} has {arm.n_joints} joints",
+        )
+        return
+    for i, (low, high) in enumerate(excitation.range_deg):
+        yield from _outside(("excitation", "range_deg", i), (low, high), i, arm)
+
+
+def _outside(
+    path: KeyPath, angles: Sequence[float], i: int, arm: ArmDescription
+) -> Iterator[Excess]:
+    low, high = float(np.degrees(arm.q_min[i])), float(np.degrees(arm.q_max[i]))
+    for angle in angles:
+        if not low - TOLERANCE <= angle <= high + TOLERANCE:
+            yield Excess(
+                path, f"{angle:g}° is beyond the {low:g}° to {high:g}° of {arm.joint_names[i]}"
+            )
+
+
+def _reference(spec: ExperimentSpec, arm: ArmDescription) -> Iterator[Excess]:
+    q_deg = spec.reference.q_deg
+    if q_deg is None:
+        return
+    if len(q_deg) != arm.n_joints:
+        yield Excess(
+            ("reference", "q_deg"),
+            f"{len(q_deg)} angles, but the {arm.name} has {arm.n_joints} joints",
+        )
+        return
+    for i, angle in enumerate(q_deg):
+        yield from _outside(("reference", "q_deg", i), (angle,), i, arm)
+
+
+def _other_rate(spec: ExperimentSpec, robot_hz: float) -> Iterator[Excess]:
+    asked = spec.record.rate_hz
+    if asked is not None and abs(asked - robot_hz) > 1e-6 * robot_hz:
+        yield Excess(
+            ("record", "rate_hz"),
+            f"{asked:g} Hz, but the robot runs at {robot_hz:g} Hz: "
+            "leave it out, or set the rate in the station's options",
+        )
+
+
+def _too_fast(excitation: Dwell | Fourier, arm: ArmDescription) -> Iterator[Excess]:
+    for key, asked, unit, limits in (
+        ("max_velocity_deg_s", excitation.max_velocity_deg_s, "°/s", arm.qd_max),
+        ("max_acceleration_deg_s2", excitation.max_acceleration_deg_s2, "°/s²", arm.qdd_max),
+    ):
+        weakest = int(np.argmin(limits))
+        most = float(np.degrees(limits[weakest]))
+        if asked > most * (1 + TOLERANCE):
+            yield Excess(
+                ("excitation", key),
+                f"{asked:g} {unit} is beyond the {most:g} {unit} of {arm.joint_names[weakest]}",
+            )
+
+
+def _confined(spec: ExperimentSpec, arm: ArmDescription, clearance_m: float) -> Iterator[Excess]:
+    """Yield what the workspace interlocks leave no room for, as far as it shows without a plan."""
+    space = declared_space(spec.interlocks, arm, [load.size_m for load in spec.loads])
+    if space is None:
+        return
+    if narrow := list(_too_narrow(spec.interlocks, clearance_m)):
+        yield from narrow
+        return
+    if getattr(spec.excitation, "file", None) is None:  # else its poses are known, and looked at
+        yield from _unreached(spec.excitation, arm, space, clearance_m)
+    if spec.reference.q_deg is not None and (
+        complaint := outside(space, np.radians(np.array(spec.reference.q_deg)), clearance_m)
+    ):
+        yield Excess(("reference", "q_deg"), complaint)
+
+
+def _too_narrow(interlocks: Sequence[Interlock], clearance_m: float) -> Iterator[Excess]:
+    """Yield each axis on which no room is left between the sides of all boxes together."""
+    boxes = [
+        (number, entry)
+        for number, entry in enumerate(interlocks)
+        if isinstance(entry, WorkspaceInterlock) and entry.enabled
+    ]
+    for i, axis in enumerate("xyz"):
+        lows = [(box.min_m[i], number) for number, box in boxes if box.min_m is not None]
+        highs = [(box.max_m[i], number) for number, box in boxes if box.max_m is not None]
+        if not lows or not highs:
+            continue
+        (low, _), (high, number) = max(lows), min(highs)
+        if high - low <= 2 * clearance_m:
+            yield Excess(
+                ("interlocks", number, "max_m", i),
+                f"leaves {1e3 * (high - low):.0f} mm on {axis} from min_m; the station's "
+                f"clearance_m takes {1e3 * clearance_m:.0f} mm off either side",
+            )
+
+
+def _unreached(
+    excitation: Dwell | Fourier, arm: ArmDescription, space: Space, clearance_m: float
+) -> Iterator[Excess]:
+    """Yield that drawn poses do not come inside a space, if none of many does."""
+    low, high = draw_range(excitation, arm)
+    some = low + np.random.default_rng(0).uniform(size=(SOME_POSES, arm.n_joints)) * (high - low)
+    nearest = some[int(space.distances(some).min(axis=0).argmax())]
+    if complaint := outside(space, nearest, clearance_m):
+        yield Excess(
+            ("interlocks",),
+            f"none of {SOME_POSES} poses from the joint ranges is inside the workspace; closest "
+            f"rejected pose: {complaint}",
+        )
+
+
+def draw_range(excitation: Dwell | Fourier, arm: ArmDescription) -> tuple[FloatArray, FloatArray]:
+    """(n,) least and (n,) most joint position that excitation draws [rad]."""
+    if excitation.range_deg is None:
+        return arm.excite_min, arm.excite_max
+    low, high = np.radians(np.array(excitation.range_deg)).T
+    return low, high
+
+
+TOLERANCE = 1e-9
+"""Set-points computed to bind at a limit may exceed it by rounding."""
+
+MOST_PROBLEMS = 20
+
+
+def margins_of(
+    steps: Sequence[Step],
+    loads: Sequence[LoadStep],
+    arm: ArmDescription,
+    gravity: tuple[float, float, float],
+    workspace: Workspace,
+) -> dict[str, float]:
+    """The smallest margin of any joint at any set-point, all ≥ 0.
+
+    ======================== ==========================================================
+    position_rad             to the robot's position limits
+    velocity_rad_s           to the spec's `max_velocity_deg_s` or the robot's limit
+    acceleration_rad_s2      to the spec's `max_acceleration_deg_s2` or the robot's limit
+    robot_velocity_rad_s     to the robot's velocity limits alone
+    robot_acceleration_rad_s2  to the robot's acceleration limits alone
+    effort_nm                to the robot's torque limits: nominal rigid body, no friction
+    clearance_m              smallest distance to anything, itself and the payload included;
+                             at least the station's `clearance_m`
+    ======================== ==========================================================
+
+    Raises:
+        PlanError: A set-point is beyond a limit; the steps concerned are listed.
+    """
+    motions = [step.motion for step in steps if step.motion is not None]
+    distances = workspace.clearances(motions)
+    _require_clear(steps, distances, workspace.clearance_m)
+    goes = extremes_of(motions, workspace.rate_hz)
+    margins = _kinematic(goes, arm, workspace)
+    payloads = [load.payload for load in loads]
+    margins["effort_nm"] = effort_margin(arm, gravity, payloads, motions, workspace.rate_hz)
+    _require_positive(margins)
+    margins["clearance_m"] = float(distances.min())
+    return {name: max(value, 0.0) for name, value in margins.items()}
+
+
+def _require_clear(steps: Sequence[Step], distances: np.ndarray, clearance_m: float) -> None:
+    moving = [step for step in steps if step.motion is not None]
+    close = [
+        f"step {step.index} ({step.kind}) comes within {1e3 * distance:.1f} mm of something, "
+        f"{1e3 * clearance_m:.1f} mm are required"
+        for step, distance in zip(moving, distances, strict=True)
+        if distance < clearance_m
+    ]
+    if close:
+        more = [f"… and {len(close) - MOST_PROBLEMS} more"] if len(close) > MOST_PROBLEMS else []
+        raise PlanError(
+            "\n".join(close[:MOST_PROBLEMS] + more),
+            hint="see whether the station's surroundings are as described",
+        )
+
+
+def _kinematic(goes: Extremes, arm: ArmDescription, workspace: Workspace) -> dict[str, float]:
+    velocity = float((arm.qd_max - goes.qd_max).min())
+    acceleration = float((arm.qdd_max - goes.qdd_max).min())
+    return {
+        "position_rad": float(min((goes.q_min - arm.q_min).min(), (arm.q_max - goes.q_max).min())),
+        "velocity_rad_s": min(velocity, workspace.velocity - float(goes.qd_max.max())),
+        "acceleration_rad_s2": min(
+            acceleration, workspace.acceleration - float(goes.qdd_max.max())
+        ),
+        "robot_velocity_rad_s": velocity,
+        "robot_acceleration_rad_s2": acceleration,
+    }
+
+
+def _require_positive(margins: dict[str, float]) -> None:
+    negative = [f"{name}: {value:.4g}" for name, value in margins.items() if value < -TOLERANCE]
+    if negative:
+        raise PlanError(
+            "the motion is beyond its limits; margins below zero are\n" + "\n".join(negative),
+            hint="lower excitation.max_velocity_deg_s and excitation.max_acceleration_deg_s2, "
+            "or take a lighter load",
+        )
+
+
+def flange_space(
+    arm: ArmDescription, space: WorkspaceInterlock, sizes: Sequence[BodySize | None]
+) -> FlangeSpace:
+    """Distances of the flange, and of the tip of the longest load, to the faces of a workspace.
+
+    One tip stands for all loads, as one body does in collisions. A load of unknown size has none.
+
+    Args:
+        arm: The arm.
+        space: Box and planes.
+        sizes: Of each load's body, None where it is not known.
+    """
+    return FlangeSpace(arm, _faces(space), _tip_m(sizes))
+
+
+def _faces(space: WorkspaceInterlock) -> list[Plane]:
+    faces = [Plane(wall.point_m, wall.normal, wall.name) for wall in space.planes]
+    for key, corner, inwards in (("min_m", space.min_m, 1.0), ("max_m", space.max_m, -1.0)):
+        if corner is not None:
+            faces += [
+                Plane(corner, (inwards * (i == 0), inwards * (i == 1), inwards * (i == 2)), name)
+                for i, name in enumerate(f"{axis} of {key}" for axis in "xyz")
+            ]
+    return faces
+
+
+def _tip_m(sizes: Sequence[BodySize | None]) -> float:
+    """Return how far the longest load reaches beyond the flange."""
+    return max((size[0] for size in sizes if size is not None), default=0.0)
+
+
+def declared_space(
+    interlocks: Sequence[Interlock], arm: ArmDescription, sizes: Sequence[BodySize | None]
+) -> FlangeSpace | None:
+    """Return the space that all workspace interlocks of a spec leave to the flange, if any does.
+
+    Its faces are named by their interlocks: `x of max_m (interlocks.1)`.
+
+    Args:
+        interlocks: Of the spec.
+        arm: The arm.
+        sizes: Of each load's body, None where it is not known.
+    """
+    faces = [
+        replace(face, name=f"{face.name} (interlocks.{number})")
+        for number, interlock in enumerate(interlocks)
+        if isinstance(interlock, WorkspaceInterlock) and interlock.enabled
+        for face in _faces(interlock)
+    ]
+    return FlangeSpace(arm, faces, _tip_m(sizes)) if faces else None
+
+
+def interlock_margins(
+    interlocks: Sequence[Interlock],
+    arm: ArmDescription,
+    sizes: Sequence[BodySize | None],
+    steps: Sequence[Step],
+    rate_hz: float,
+    clearance_m: float,
+) -> dict[str, float]:
+    """`workspace_m`: smallest distance of the flange to a face of its workspace, if it has one.
+
+    Args:
+        interlocks: Of the spec.
+        arm: The arm.
+        sizes: Of each load's body.
+        steps: Of the plan.
+        rate_hz: At which motions are sampled.
+        clearance_m: Smallest distance of the plan to anything.
+
+    Raises:
+        PlanError: The motion itself trips an interlock; all that it trips are listed.
+    """
+    moving = [step for step in steps if step.motion is not None]
+    margins: list[float] = []
+    problems: list[str] = []
+    for number, interlock in enumerate(interlocks):
+        problem = ""
+        if isinstance(interlock, WorkspaceInterlock) and interlock.enabled:
+            space = flange_space(arm, interlock, sizes)
+            least, problem = _least(space, moving, rate_hz)
+            margins.append(least)
+        elif isinstance(interlock, ClearanceInterlock) and interlock.enabled:
+            problem = _too_close(interlock, clearance_m)
+        if problem:
+            problems.append(f"interlocks.{number} ({interlock.kind}): {problem}")
+    if problems:
+        raise PlanError(
+            "\n".join(problems),
+            hint="change these entries, or restrict the motion: excitation.range_deg or the poses "
+            "of excitation.file",
+        )
+    return {"workspace_m": min(margins)} if margins else {}
+
+
+def _least(space: FlangeSpace, steps: Sequence[Step], rate_hz: float) -> tuple[float, str]:
+    """The smallest distance of steps that move to a face, and what is wrong with it."""
+    paths = [step.motion.sample(rate_hz).q for step in steps if step.motion is not None]
+    found = [least_along(q, space.distances, space.reach) for q in paths]
+    at, (least, sample) = min(enumerate(found), key=lambda item: item[1][0])
+    if least >= 0:
+        return least, ""
+    point, face = space.names[int(space.distances(paths[at][[sample]])[:, 0].argmin())]
+    place = f"step {steps[at].index} ({steps[at].kind})"
+    return least, f"{place} takes the {point} {-1e3 * least:.1f} mm beyond {face}"
+
+
+def _too_close(interlock: ClearanceInterlock, clearance_m: float) -> str:
+    if interlock.least_m is None or interlock.least_m < clearance_m:
+        return ""
+    return (
+        f"least_m is {interlock.least_m:g}, but the plan itself comes as close as "
+        f"{clearance_m:.4f} m to something"
+    )
+
+
+MOST_ROWS = 1500
+"""Samples a regressor is computed from: more change the condition number in the third digit."""
+
+EFFORT_ROWS = 10_000
+Score = Callable[[FloatArray, FloatArray, FloatArray], float]
+
+
+def condition_score(arm: ArmDescription, gravity: Sequence[float], *, at_rest: bool) -> Score:
+    """Column-scaled condition number of the base regressor as a function of q, qd, qdd (N, n).
+
+    Args:
+        arm: The arm.
+        gravity: (3,) in the base frame [m/s²].
+        at_rest: Only the parameters that gravity shows count; velocities are ignored.
+    """
+    model = RobotModel.from_arm(arm.name, gravity=gravity)
+    base = base_parameters(model, gravity_only=at_rest)
+
+    def score(q: FloatArray, qd: FloatArray, qdd: FloatArray) -> float:
+        W = model.gravity_regressor(q) if at_rest else model.regressor(q, qd, qdd)
+        if len(W) < base.rank:
+            return float("inf")
+        scaled = conditioning(base.reduce(W)).scaled
+        return scaled if scaled < 1e12 else float("inf")
+
+    return score
+
+
+def condition_number(score: Score, measured: Sequence[Motion], rate_hz: float) -> float:
+    """`score` over evenly thinned samples of the measuring motions."""
+    return score(*_thinned(measured, rate_hz, MOST_ROWS))
+
+
+def _thinned(
+    motions: Sequence[Motion], rate_hz: float, most_rows: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """q, qd, qdd of every k-th sample of the distinct motions, at most about `most_rows`."""
+    samples = [motion.sample(rate_hz) for motion in dict.fromkeys(motions)]
+    every = max(1, sum(map(len, samples)) // most_rows)
+    columns = ([getattr(s, name) for s in samples] for name in ("q", "qd", "qdd"))
+    q, qd, qdd = (np.concatenate(column)[::every] for column in columns)
+    return q, qd, qdd
+
+
+def effort_margin(
+    arm: ArmDescription,
+    gravity: Sequence[float],
+    loads: Sequence[Payload],
+    motions: Sequence[Motion],
+    rate_hz: float,
+) -> float:
+    """Smallest distance of a joint torque to its limit [N·m].
+
+    Of the nominal rigid body with each load, friction left out; negative when the arm cannot.
+    """
+    model = RobotModel.from_arm(arm.name, gravity=gravity)
+    q, qd, qdd = _thinned(motions, rate_hz, EFFORT_ROWS)
+    return min(
+        float(
+            (arm.effort_max - np.abs(model.with_payload(load).inverse_dynamics(q, qd, qdd))).min()
+        )
+        for load in dict.fromkeys(loads)
+    )

@@ -1,0 +1,424 @@
+"""What people and editors are told about the keys of the YAML files, all made from the models.
+
+- `explain_key` and the reference page: each key's unit, default and meaning
+  (`python -m hil.spec.documentation docs/reference/spec.md` writes the page);
+- JSON Schema, so that editors complete keys and mark mistakes while typing
+  (`python -m hil.spec.documentation experiments/schema` writes those of the shipped specs);
+- comments in templates: a line that ends in `#?` gets the description of its key, and what stands
+  behind `#?` is added to it. Comments can say nothing else than the reference page does.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+import textwrap
+import types
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated, Any, Union, get_args, get_origin
+
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+from pydantic.json_schema import GenerateJsonSchema
+
+from hil.core import KeyPath, SpecError, closest, dotted, split_unit, symbol_of
+from hil.spec.experiment import ExperimentSpec
+from hil.spec.field_types import Strict
+from hil.spec.fleet import FleetSpec
+from hil.spec.model_tree import Model, choices_of, is_model, keys_of, kinds_of, plain, tree
+from hil.spec.schedule import ScheduleSpec
+from hil.spec.series import SeriesSpec
+from hil.spec.station import Station
+
+
+@dataclass(frozen=True, slots=True)
+class KeyInfo:
+    """What there is to know about one key.
+
+    Attributes:
+        path: Dotted path without list indices: `loads.mass_kg`.
+        kind: The `kind` of the mapping it belongs to, empty where there are no kinds.
+        unit: Symbol of its unit, empty without one.
+        allowed: The values it takes, in words.
+        default: Its default as YAML, `required` without one.
+        meaning: What it says.
+        file: The kind of file it is in: `experiment`, `station`, `series`, `schedule` or `fleet`.
+    """
+
+    path: str
+    kind: str
+    unit: str
+    allowed: str
+    default: str
+    meaning: str
+    file: str = ""
+
+
+MODELS: dict[str, Model] = {
+    "experiment": ExperimentSpec,
+    "station": Station,
+    "series": SeriesSpec,
+    "schedule": ScheduleSpec,
+    "fleet": FleetSpec,
+}
+"""The YAML files by what they are called."""
+
+
+def keys_below(model: Model) -> Iterator[KeyInfo]:
+    """All keys of a file, from the top downwards."""
+    for path, owner in tree(model):
+        for key, field in keys_of(owner).items():
+            yield _info((*path, key), owner, field)
+
+
+def _info(path: KeyPath, owner: Model, field: FieldInfo) -> KeyInfo:
+    kind_field = keys_of(owner).get("kind")
+    kinds = choices_of(kind_field.annotation) if kind_field else ()
+    return KeyInfo(
+        path=dotted(path),
+        kind=kinds[0] if kinds else "",
+        unit=symbol_of(str(path[-1])),
+        allowed=_allowed(field.annotation, field.metadata),
+        default=_default(field),
+        meaning=field.description or "",
+    )
+
+
+def _allowed(annotation: Any, metadata: Sequence[Any] = ()) -> str:
+    """The values of an annotation in words."""
+    if get_origin(annotation) is Annotated:
+        inner, *more = get_args(annotation)
+        return _allowed(inner, [*metadata, *more])
+    if (inner := plain(annotation)) is not annotation:
+        return _allowed(get_args(annotation)[0], metadata)
+    if choices := choices_of(inner):
+        return " or ".join(f"`{choice}`" for choice in choices)
+    if inner in (float, int):
+        return ("number" if inner is float else "whole number") + _limits(metadata)
+    return _compound(inner)
+
+
+def _limits(metadata: Sequence[Any]) -> str:
+    signs = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤"}
+    found = {}
+    for item in _flat(metadata):
+        for name, sign in signs.items():
+            if getattr(item, name, None) is not None:
+                found[name] = f"{sign} {getattr(item, name):.10g}"
+    return " " + ", ".join(found.values()) if found else ""
+
+
+def _flat(metadata: Sequence[Any]) -> Iterator[Any]:
+    for item in metadata:
+        yield from item.metadata if isinstance(item, FieldInfo) else (item,)
+
+
+def _compound(inner: Any) -> str:
+    if kinds := kinds_of(inner):
+        return "mapping with `kind` " + ", ".join(f"`{kind}`" for kind in kinds)
+    if get_origin(inner) in (Union, types.UnionType):
+        return " or ".join(_allowed(arg) for arg in get_args(inner))
+    if inner is bool:
+        return "`true` or `false`"
+    if get_origin(inner) is tuple:
+        first, *rest = get_args(inner)
+        if rest == [Ellipsis]:
+            return f"list, each entry: {_allowed(first)}"
+        return f"list of {1 + len(rest)}: {_allowed(first)}"
+    if is_model(inner) or get_origin(inner) is dict:
+        return "mapping"
+    return "text"
+
+
+def _default(field: FieldInfo) -> str:
+    if field.is_required():
+        return "required"
+    value = field.default
+    if isinstance(value, BaseModel):
+        return "see below"
+    if value is None:
+        return "none"
+    if isinstance(value, tuple):
+        value = [v.model_dump(exclude_unset=True) if isinstance(v, BaseModel) else v for v in value]
+    return f"`{json.dumps(value, ensure_ascii=False)}`" if value != "" else "empty"
+
+
+def explain_key(path: str) -> list[KeyInfo]:
+    """What a dotted path in a file means; several entries if kinds share it.
+
+    Raises:
+        SpecError: There is no such key.
+    """
+    wanted = tuple(step for step in path.split(".") if not step.isdigit())
+    known = [
+        replace(info, file=file) for file, model in MODELS.items() for info in keys_below(model)
+    ]
+    found = [info for info in known if _ends_in(info, wanted)]
+    if not found:
+        match = _meant(wanted, sorted({info.path for info in known}))
+        hint = f"did you mean {match!r}?" if match else "all keys: docs/reference/spec.md"
+        raise SpecError(f"no spec has the key {'.'.join(wanted)!r}", hint=hint)
+    return [info for info in found if info.path.count(".") == len(wanted) - 1] or found
+
+
+def _ends_in(info: KeyInfo, wanted: tuple[str, ...]) -> bool:
+    """Whether a path ends in these steps; an entry of a dict goes by any name."""
+    steps = info.path.split(".")[-len(wanted) :]
+    return len(steps) == len(wanted) and all(
+        step in (given, "<name>") for step, given in zip(steps, wanted, strict=True)
+    )
+
+
+def _meant(wanted: Sequence[str], paths: Sequence[str]) -> str | None:
+    """The path, or the end of one, that a person most likely meant."""
+    typed = ".".join(wanted)
+    ends = {".".join(path.split(".")[-len(wanted) :]) for path in paths}
+    return closest(typed, paths) or closest(typed, sorted(ends))
+
+
+def section_of(info: KeyInfo) -> str:
+    """Title of the reference page's section that a key is in."""
+    above = info.path.rpartition(".")[0]
+    kind = f" with `kind: {info.kind}`" if info.kind else ""
+    return f"`{above}`{kind}" if above else "Top of the file"
+
+
+_HEAD = """# Keys of the YAML files
+
+This page is made from the models in `hil/spec` by `python -m hil.spec.documentation`; a test
+keeps it up to date. In an editor with YAML support the first line of the shipped specs
+(`# yaml-language-server: $schema=…`) brings the same texts while you type.
+
+- Quantities carry their unit in the key: `dwell_s: 0.095`, never `dwell: 95 ms`.
+- A key that is not listed here is an error, with a guess at what was meant.
+- Scalars follow YAML 1.2: `1e-3` is a number; `on`, `yes` and `12:30` are text.
+- Anchors and aliases (`&a`, `*a`) are allowed; with all aliases followed, a file may
+  hold 10 000 values and 2 more for each of its characters, in at most 40 levels. A larger file is
+  rejected during parsing.
+- Relative paths start at the folder of the file they stand in.
+- A `kind` decides which other keys there are."""
+
+
+def reference() -> str:
+    """The reference page in Markdown."""
+    parts = [_HEAD]
+    for file, model in MODELS.items():
+        parts += [f"## {file.capitalize()}", _sections(model)]
+    return "\n\n".join(parts) + "\n"
+
+
+def _sections(model: Model) -> str:
+    return "\n\n".join(_section(path, owner) for path, owner in tree(model))
+
+
+def _section(path: KeyPath, owner: Model) -> str:
+    infos = [_info((*path, key), owner, field) for key, field in keys_of(owner).items()]
+    title = f"### {section_of(infos[0])}"
+    rows = [
+        f"| `{i.path.rpartition('.')[2]}` | {i.unit or '–'} | {i.allowed} | {i.default} | "
+        f"{i.meaning} |"
+        for i in infos
+    ]
+    table = ["| key | unit | value | default | meaning |", "|---|---|---|---|---|", *rows]
+    return "\n".join([title, "", (owner.__doc__ or "").partition("\n")[0], "", *table])
+
+
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
+
+
+def experiment_schema() -> dict[str, Any]:
+    """JSON Schema (draft 2020-12) of an experiment."""
+    return _schema(ExperimentSpec, "experiment")
+
+
+def _schema(model: type[Strict], kind: str) -> dict[str, Any]:
+    schema = model.model_json_schema(by_alias=True, schema_generator=_WithUnits)
+    head = {"$schema": DIALECT, "$id": f"urn:hil:schema:{kind}:1", "title": f"hil {kind}"}
+    return head | {key: value for key, value in schema.items() if key not in head}
+
+
+class _WithUnits(GenerateJsonSchema):
+    """Pydantic's generator, with titles that say the unit instead of spelling the key again."""
+
+    def get_title_from_name(self, name: str) -> str:
+        """`mass_kg` → `mass [kg]`."""
+        unit = symbol_of(name)
+        words = split_unit(name)[0].replace("_", " ")
+        return f"{words} [{unit}]" if unit else words
+
+
+def station_schema() -> dict[str, Any]:
+    """JSON Schema (draft 2020-12) of a station."""
+    return _schema(Station, "station")
+
+
+def series_schema() -> dict[str, Any]:
+    """JSON Schema of a series of experiments."""
+    return _schema(SeriesSpec, "series")
+
+
+def schedule_schema() -> dict[str, Any]:
+    """JSON Schema of a schedule."""
+    return _schema(ScheduleSpec, "schedule")
+
+
+def fleet_schema() -> dict[str, Any]:
+    """Return the JSON Schema of a fleet's file."""
+    return _schema(FleetSpec, "fleet")
+
+
+def schema_files() -> dict[str, str]:
+    """The text of every schema file by its name."""
+    schemas = {
+        "experiment": experiment_schema(),
+        "fleet": fleet_schema(),
+        "schedule": schedule_schema(),
+        "series": series_schema(),
+        "station": station_schema(),
+    }
+    return {
+        f"{name}.schema.json": json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
+        for name, schema in schemas.items()
+    }
+
+
+def write_schemas(folder: Path) -> None:
+    """Write the schema files into a folder, which is made if need be."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in schema_files().items():
+        (folder / name).write_text(text, "utf-8")
+
+
+COLUMN = 36
+"""Where comments begin, and where whoever writes a line behind a template's key goes on."""
+
+WIDTH = 100
+
+NARROWEST = 40
+"""Comments that have less room stand above their line."""
+
+
+def commented(text: str, model: Model) -> str:
+    """A template with the comments of a model's keys.
+
+    Args:
+        text: YAML whose lines may end in `  #? more`.
+        model: What the file is an instance of.
+
+    Raises:
+        SpecError: A marked line is of a key that the model has not.
+    """
+    known = list(keys_below(model))
+    return "\n".join(line for one in _lines(text) for line in _written(one, known)) + "\n"
+
+
+_LINE = re.compile(
+    r"(?P<indent> *)(?P<off># )?(?P<dash>- )?(?P<key>[\w.<>-]+|\"[\w.-]+\"):(?P<rest>.*)"
+)
+
+
+def _lines(text: str) -> Iterator[tuple[str, tuple[str, ...], str]]:
+    """Each line with the path of its key and the `kind` of the mapping it is in."""
+    stack: list[tuple[int, str]] = []
+    kinds: dict[tuple[str, ...], str] = {}
+    for line in text.splitlines():
+        found = _LINE.fullmatch(line)
+        if found is None:
+            yield line, (), ""
+            continue
+        depth = len(found["indent"]) + len(found["dash"] or "")
+        stack = [(at, key) for at, key in stack if at < depth]
+        above = tuple(key for _, key in stack)
+        if not found["off"]:
+            stack.append((depth, found["key"]))
+        if found["key"] == "kind":
+            kinds[above] = found["rest"].strip()
+        yield line, (*above, found["key"]), kinds.get(above, "")
+
+
+_MARK = "  #?"
+
+
+def _written(line: tuple[str, tuple[str, ...], str], known: list[KeyInfo]) -> Iterator[str]:
+    text, path, kind = line
+    code, mark, more = text.partition(_MARK)
+    if not mark:
+        yield text
+        return
+    info = _info_of(path, kind, known)
+    comment = comment_of(info, more.strip())
+    column = max(COLUMN, len(code) + 2)
+    if WIDTH - column - 2 < NARROWEST:
+        indent = len(code) - len(code.lstrip())
+        room = WIDTH - indent - 2
+        yield from (" " * indent + f"# {part}" for part in _wrapped(comment, room))
+        yield code
+        return
+    first, *others = _wrapped(comment, WIDTH - column - 2)
+    yield f"{code:<{column}}# {first}"
+    yield from (" " * column + f"# {part}" for part in others)
+
+
+def _info_of(path: tuple[str, ...], kind: str, known: list[KeyInfo]) -> KeyInfo:
+    """The key at a path; entries of a dict go by any name."""
+    for info in known:
+        if info.kind in ("", kind) and _is_at(info, path):
+            return info
+    raise SpecError(f"a template has the key {'.'.join(path)}, which no file may have")
+
+
+def _is_at(info: KeyInfo, path: tuple[str, ...]) -> bool:
+    steps = info.path.split(".")
+    return len(steps) == len(path) and all(
+        step in (given, "<name>") for step, given in zip(steps, path, strict=True)
+    )
+
+
+def _wrapped(comment: str, width: int) -> list[str]:
+    return textwrap.wrap(comment, width, break_on_hyphens=False)
+
+
+def comment_of(info: KeyInfo, more: str = "") -> str:
+    """A sentence about a key: unit and range, meaning, and what else there is to say."""
+    allowed = info.allowed.replace("`", "")
+    limits = re.sub(r"^(whole )?number ?", "", allowed)
+    if not re.match(r"(whole )?number", allowed):
+        limits = allowed if " or " in allowed and not info.allowed.startswith("list") else ""
+    head = ", ".join(part for part in (info.unit, limits) if part)
+    said = f"{head}: {info.meaning}" if head else info.meaning
+    return f"{said} {more}".strip()
+
+
+def example_of(info: KeyInfo) -> str:
+    """A line with a key: as `hil new` writes it, else with its default; empty without either."""
+    for code, path, kind in _examples():
+        if info.kind in ("", kind) and _is_at(info, path):
+            return code
+    key = info.path.rpartition(".")[2]
+    value = info.default.strip("`")
+    return f"{key}: {value}" if info.default.startswith("`") else ""
+
+
+@cache
+def _examples() -> tuple[tuple[str, tuple[str, ...], str], ...]:
+    """Lines of the templates: without comment and indentation, with path and kind."""
+    found = []
+    for file in sorted(files("hil.spec").joinpath("templates").iterdir(), key=lambda f: f.name):
+        for line, path, kind in _lines(file.read_text("utf-8")):
+            code = re.sub(r" +#[ ?].*", "", line).strip().lstrip("#- ")
+            if path and "@" not in code and not code.endswith(":"):
+                found.append((code, path, kind))
+    return tuple(found)
+
+
+if __name__ == "__main__":
+    to = Path(sys.argv[1])
+    if to.suffix == ".md":
+        to.write_text(reference(), "utf-8")
+    else:
+        write_schemas(to)
