@@ -8,12 +8,10 @@ import pytest
 
 from hil.export.c_network import network_piece
 from hil.export.c_program_text import RESTRICT
-from hil.networks.residual.correction import Correction
-from hil.networks.residual.inputs import InputScales, NetworkInputs, group_shape
-from hil.networks.residual.settings import ResidualSettings
-from hil.networks.residual.streaming import CorrectedStream
-from hil.networks.residual.trained import TrainedTcn
-from hil.networks.residual.weights import TcnWeights
+from hil.networks.residual_data import InputScales, NetworkInputs, ResidualSettings, group_shape
+from hil.networks.residual_network import CorrectedStream
+from hil.networks.residual_selection import Correction
+from hil.networks.residual_tcn import TcnWeights, TrainedTcn
 
 COMPILER = shutil.which("gcc") or shutil.which("clang")
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-pedantic"]

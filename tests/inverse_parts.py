@@ -14,7 +14,7 @@ from hil.data.dataset import Dataset
 from hil.data.prediction import Prediction
 from hil.dynamics import RobotModel
 from hil.estimators.rigid_linear import RigidWls
-from hil.networks.residual.selection import Selection
+from hil.networks.residual_selection import Selection
 from hil.studies.inverse_methods import ROWS, Row
 
 SMALL: dict[str, Any] = {

@@ -10,8 +10,8 @@ torch = pytest.importorskip("torch", reason="torch is not installed")
 from torch.func import grad, hessian, jacfwd, vmap  # noqa: E402
 from torch.nn import functional  # noqa: E402
 
-from hil.networks.lagrangian.network import LagrangianNetwork  # noqa: E402
-from hil.networks.lagrangian.settings import NetworkSettings  # noqa: E402
+from hil.networks.lagrangian import LagrangianNetwork  # noqa: E402
+from hil.networks.lagrangian_settings import NetworkSettings  # noqa: E402
 
 SCALE = (25.0, 36.0, 16.0, 4.0, 2.25, 6.25)
 """Whose roots single precision holds exactly: networks begin in it."""

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from hil.networks.residual.motions import Motions
-from hil.networks.residual.settings import ResidualSettings
+from hil.networks.residual_data import Motions, ResidualSettings
 
 N_JOINTS = 2
 OFFSETS = np.array([0, 300, 301, 500])
@@ -27,7 +26,7 @@ def small(**changed) -> ResidualSettings:
 
 def problem(settings: ResidualSettings, recorded: Motions | None = None, **given):
     """Half of the rows to learn from, the rest to stop by; the residual is what is heard last."""
-    from hil.networks.residual.problem import ResidualProblem
+    from hil.networks.residual_training import ResidualProblem
 
     found = recorded or motions()
     learn = np.arange(len(found)) < len(found) // 2

@@ -16,8 +16,8 @@ from hil.data.parts import BY_SAMPLE
 from hil.estimators import estimator
 from hil.estimators.base import GROUP, HONEST
 from hil.estimators.static import PAPER_PROTOCOL
-from hil.networks.lagrangian.choices import LAGRANGIAN_CHOICES as OURS_LAGRANGIAN
-from hil.networks.residual.settings import TRAINING, ResidualSettings
+from hil.networks.lagrangian_settings import LAGRANGIAN_CHOICES as OURS_LAGRANGIAN
+from hil.networks.residual_data import TRAINING, ResidualSettings
 
 PAGE = (Path(__file__).parents[1] / "docs" / "reference" / "estimators.md").read_text("utf-8")
 OURS = [name for name in plugins.names(GROUP) if plugins.load(GROUP, name).__module__[:4] == "hil."]

@@ -97,7 +97,7 @@ def test_a_trunk_gives_the_mass_matrix_by_the_formula_in_its_notes(options, tmp_
 
 def test_the_slope_of_the_potential_is_the_torque_of_gravity(tmp_path) -> None:
     model = learned()
-    from hil.networks.lagrangian.predict import torques
+    from hil.networks.lagrangian import torques
 
     written = export_onnx_mlp(model, tmp_path / "trunk.onnx")
     at = json.loads(told(written.out)["outputs"]).index("V")

@@ -6,7 +6,7 @@ from synthetic_motion import COULOMB, GAINS, OFFSET, VISCOUS, dataset, nominal, 
 
 from hil.data import Conditions
 from hil.data.filters import FilterSettings, prepare
-from hil.networks.lagrangian.direction import (
+from hil.networks.lagrangian_data import (
     LENGTHS_RAD,
     carried_directions,
     fitted_lengths,

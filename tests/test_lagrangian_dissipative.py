@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.networks.lagrangian.friction_settings import FrictionSettings
+from hil.networks.lagrangian_settings import FrictionSettings
 
 torch = pytest.importorskip("torch", reason="torch is not installed")
 
-from hil.networks.lagrangian.friction import friction_network  # noqa: E402
+from hil.networks.lagrangian_friction import friction_network  # noqa: E402
 
 SCALE = np.array([22.0, 4.0, 0.5])
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from hil.core.errors import SpecError
-from hil.networks.lagrangian.friction_settings import FRICTIONS, FrictionSettings
+from hil.networks.lagrangian_settings import FRICTIONS, FrictionSettings
 
 torch = pytest.importorskip("torch", reason="torch is not installed")
 
-from hil.networks.lagrangian.friction import friction_network  # noqa: E402
+from hil.networks.lagrangian_friction import friction_network  # noqa: E402
 
 SCALE = np.array([22.0, 4.0, 0.5])
 SPEEDS = np.array([-1.5, -0.2, -0.03, -1e-3, 1e-3, 0.07, 0.6, 2.0])[:, None] * np.ones(3)

@@ -12,8 +12,8 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="torch is not installed")
 
-from hil.networks.lagrangian.network import LagrangianNetwork  # noqa: E402
-from hil.networks.lagrangian.settings import NetworkSettings  # noqa: E402
+from hil.networks.lagrangian import LagrangianNetwork  # noqa: E402
+from hil.networks.lagrangian_settings import NetworkSettings  # noqa: E402
 
 MASS, LENGTH, G = 2.3, 0.7, 9.81
 

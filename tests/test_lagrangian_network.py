@@ -10,9 +10,8 @@ torch = pytest.importorskip("torch", reason="torch is not installed")
 
 from hil.core.errors import SpecError  # noqa: E402
 from hil.estimators.parameters import settings as read_settings  # noqa: E402
-from hil.networks.lagrangian.network import LagrangianNetwork  # noqa: E402
-from hil.networks.lagrangian.settings import NetworkSettings  # noqa: E402
-from hil.networks.lagrangian.trunk import softplus  # noqa: E402
+from hil.networks.lagrangian import LagrangianNetwork, softplus  # noqa: E402
+from hil.networks.lagrangian_settings import NetworkSettings  # noqa: E402
 from tests.lagrangian_reference import SCALE, SETTINGS, Reference, motion, network  # noqa: E402
 
 pytestmark = pytest.mark.filterwarnings(  # torch.func.jvp itself, when it is first used

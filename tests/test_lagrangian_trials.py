@@ -6,17 +6,17 @@ from synthetic_motion import moving, nominal
 
 from hil.core.errors import FitError
 from hil.estimators import estimator, load_model_file, save_model
-from hil.networks.lagrangian import choices
+from hil.networks import lagrangian_settings
 
 pytest.importorskip("torch", reason="torch is not installed")
-from hil.networks.lagrangian import fit
+from hil.networks import lagrangian
 
 FAST, SLOW = {"friction": 1.0}, {"friction": 0.2}
 
 
 def rates(friction, protocol="ours", **changed):
-    training = choices.training_settings(protocol, 3, 0, changed)
-    return [one.group_rates for one in choices.trials(friction, protocol, training)]
+    training = lagrangian_settings.training_settings(protocol, 3, 0, changed)
+    return [one.group_rates for one in lagrangian_settings.trials(friction, protocol, training)]
 
 
 def made(**training):
@@ -41,7 +41,7 @@ def test_given_rates_and_those_of_the_paper_are_tried_alone() -> None:
 
 @pytest.mark.parametrize("order", [(1.0, 0.2), (0.2, 1.0)])
 def test_the_trial_that_validates_best_is_kept(order, tmp_path, monkeypatch) -> None:
-    monkeypatch.setitem(choices.FRICTION_RATES, "dissipative", order)
+    monkeypatch.setitem(lagrangian_settings.FRICTION_RATES, "dissipative", order)
     data, robot = moving(1, 2, 3), nominal()
     both, told = made(), []
     both.checkpoints_, both.watch_ = tmp_path, told.append
@@ -64,7 +64,7 @@ def test_a_model_file_tells_of_every_trial(tmp_path) -> None:
 
 @pytest.mark.parametrize("diverging", [1, 2])
 def test_a_trial_that_diverges_loses(diverging, monkeypatch) -> None:
-    trained, calls = fit._trained, []
+    trained, calls = lagrangian._trained, []
 
     def spoiled(*args):
         calls.append(args)
@@ -72,7 +72,7 @@ def test_a_trial_that_diverges_loses(diverging, monkeypatch) -> None:
             raise FitError("training diverged")
         return trained(*args)
 
-    monkeypatch.setattr(fit, "_trained", spoiled)
+    monkeypatch.setattr(lagrangian, "_trained", spoiled)
     model = made().fit(moving(1, 2, 3), nominal())
     assert len(calls) == 2
     assert "training diverged" in model.notes_[diverging - 1]
@@ -82,6 +82,6 @@ def test_a_fit_fails_when_every_trial_diverges(monkeypatch) -> None:
     def spoiled(*args):
         raise FitError("training diverged")
 
-    monkeypatch.setattr(fit, "_trained", spoiled)
+    monkeypatch.setattr(lagrangian, "_trained", spoiled)
     with pytest.raises(FitError, match="diverged"):
         made().fit(moving(1, 2, 3), nominal())

@@ -10,7 +10,7 @@ from synthetic_motion import moving
 
 pytest.importorskip("torch", reason="torch is not installed")
 
-from hil.networks.lagrangian.direction import smooth_sign
+from hil.networks.lagrangian_data import smooth_sign
 from hil.report import friction_plots
 from hil.report.predictions import shown
 

@@ -179,7 +179,7 @@ def test_absurd_sizes_are_refused_before_they_take_up_memory(kind, way, to, monk
     def enormous(*args: object, **kwargs: object) -> None:
         raise AssertionError("a network was built")
 
-    monkeypatch.setattr("hil.networks.lagrangian.stored.NetworkModel", enormous)
+    monkeypatch.setattr("hil.networks.lagrangian.NetworkModel", enormous)
     refusal(changed(kind, *way, to=to), stored(kind)[1])
 
 

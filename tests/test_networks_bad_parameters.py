@@ -18,7 +18,7 @@ from hil.core.errors import SpecError
 from hil.estimators import estimator
 from hil.estimators.parameters import settings
 from hil.importers import import_recording
-from hil.networks.lagrangian.settings import NetworkSettings
+from hil.networks.lagrangian_settings import NetworkSettings
 from hil.networks.training import TrainingSettings
 from hil.studies.base import study
 

@@ -8,11 +8,8 @@ import numpy as np
 from residual_models import known
 
 from hil.core.typing import FloatArray
-from hil.networks.residual.fit import Learnt
-from hil.networks.residual.judged import Judged
-from hil.networks.residual.motions import Motions
-from hil.networks.residual.out_of_fold import NO_FOLD, Physics
-from hil.networks.residual.settings import ResidualSettings
+from hil.networks.residual_data import Motions, ResidualSettings
+from hil.networks.residual_selection import NO_FOLD, Judged, Learnt, Physics
 
 
 class Wild:

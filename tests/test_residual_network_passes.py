@@ -8,8 +8,7 @@ import pytest
 from residual_parts import OFFSETS, motions, problem, random_network, small
 
 from hil.core.errors import DataError, SpecError
-from hil.networks.residual.ring import RingTcn
-from hil.networks.residual.trained import TrainedTcn
+from hil.networks.residual_tcn import RingTcn, TrainedTcn
 
 pytestmark = pytest.mark.quick
 
@@ -58,10 +57,9 @@ def test_sample_by_sample_equals_the_pass_over_the_series(kind) -> None:
     recorded = motions()
     network = random_network(small(**kind, latency_s=0.003), recorded)
     whole = network.predict(recorded)
-    ring = RingTcn(network)
     columns = (recorded.q, recorded.qd, recorded.qdd, recorded.base, recorded.effort)
     for start, stop in pairwise(OFFSETS):
-        ring.reset()
+        ring = RingTcn(network)
         steps = [ring.step(*(column[k] for column in columns)) for k in range(start, stop)]
         assert np.array(steps) == pytest.approx(whole[start:stop], abs=1e-5 * np.abs(whole).max())
 
@@ -85,7 +83,7 @@ def test_a_long_series_in_pieces_gives_what_it_gives_at_once(monkeypatch) -> Non
     recorded = motions()
     network = random_network(small(), recorded)
     whole = network.predict(recorded)
-    monkeypatch.setattr("hil.networks.residual.weights.CHUNK", 37)
+    monkeypatch.setattr("hil.networks.residual_tcn.CHUNK", 37)
     assert network.predict(recorded) == pytest.approx(whole, abs=1e-5)
 
 

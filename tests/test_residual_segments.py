@@ -6,9 +6,7 @@ from residual_parts import OFFSETS, ROWS, motions, small
 from synthetic_motion import moving
 
 from hil.core.errors import DataError
-from hil.networks.residual.motions import Motions
-from hil.networks.residual.segments import Segments
-from hil.networks.residual.split import motion_frequency, slow_and_fast
+from hil.networks.residual_data import Motions, Segments, motion_frequency, slow_and_fast
 
 T = np.arange(4000) / 1000.0
 HEARD = ("motion", "history", "measured")

@@ -10,8 +10,7 @@ from hil.core.errors import SpecError
 from hil.data import Dataset
 from hil.data.persistence_error import persistence, persistence_rmse
 from hil.estimators import estimator
-from hil.networks.residual.out_of_fold import fold_of_rows, physics_of
-from hil.networks.residual.selection import select
+from hil.networks.residual_selection import fold_of_rows, physics_of, select
 
 TRAJECTORIES = np.repeat(np.arange(5), 100)
 

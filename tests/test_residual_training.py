@@ -7,11 +7,11 @@ import pytest
 from residual_parts import OFFSETS, ROWS, motions, problem, small
 
 from hil.core.errors import DataError
-from hil.networks.residual.motions import Motions
+from hil.networks.residual_data import Motions
 
 torch = pytest.importorskip("torch", reason="torch is not installed")
 
-from hil.networks.residual.problem import ResidualProblem  # noqa: E402
+from hil.networks.residual_training import ResidualProblem  # noqa: E402
 from hil.networks.training import TrainingSettings, joint_stages  # noqa: E402
 from hil.networks.training_loop import train  # noqa: E402
 

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from hil.networks.lagrangian.network import LagrangianNetwork
+from hil.networks.lagrangian import LagrangianNetwork
 
 
 class LayerJacobian:

@@ -12,7 +12,7 @@ from torch import Tensor
 from benchmarks.lagrangian_peers.layer_jacobian import LayerJacobian
 from benchmarks.lagrangian_peers.torch_func import by_hessian, by_jvp
 from hil.core.errors import FitError
-from hil.networks.lagrangian.network import LagrangianNetwork
+from hil.networks.lagrangian import LagrangianNetwork
 
 Torque = Callable[[Tensor, Tensor, Tensor], Tensor]
 JOINTS = 6

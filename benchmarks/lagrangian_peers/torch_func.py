@@ -8,7 +8,7 @@ from collections.abc import Callable
 from torch import Tensor
 from torch.func import grad, hessian, jacfwd, jvp, vmap
 
-from hil.networks.lagrangian.network import LagrangianNetwork
+from hil.networks.lagrangian import LagrangianNetwork
 
 Torque = Callable[[Tensor, Tensor, Tensor], Tensor]
 

@@ -15,12 +15,15 @@ import torch
 
 from benchmarks.identification.mock_gap import observed
 from hil.dynamics import load_model
-from hil.networks.lagrangian.choices import Design, design, stages, training_settings
-from hil.networks.lagrangian.fit import problem
-from hil.networks.lagrangian.model import NetworkModel
-from hil.networks.lagrangian.settings import NetworkSettings
-from hil.networks.lagrangian.task import Preparation, Task
-from hil.networks.lagrangian.tensors import Rows, tensor_rows
+from hil.networks.lagrangian import NetworkModel, Rows, problem, tensor_rows
+from hil.networks.lagrangian_data import Preparation, Task
+from hil.networks.lagrangian_settings import (
+    Design,
+    NetworkSettings,
+    design,
+    stages,
+    training_settings,
+)
 from hil.networks.training import Told, TrainingSettings
 from hil.networks.training_loop import train
 

@@ -12,7 +12,7 @@ from benchmarks.identification.mock_gap import observed
 from hil.dynamics import load_model
 from hil.estimators import estimator
 from hil.estimators.base import RobotEstimator
-from hil.networks.residual.trained import TrainedTcn
+from hil.networks.residual_tcn import TrainedTcn
 
 ARM, SEED = "ur5", 1
 TRAJECTORIES, QUICK_TRAJECTORIES = 8, 3

@@ -4,47 +4,75 @@ Methods 4 to 6 and the proposed one of the PINN paper: M(q) and the potential of
 one network, their torque from the Lagrangian equation (eq. 8), and friction from a few intrinsic
 parameters per joint (eq. 15–18), trained together or by turns (Algorithm 1). `friction` says which
 method it is; `protocol: paper` takes the paper's settings at their word.
+
+`lagrangian_settings` turns parameters into settings, `lagrangian_data` a dataset into what is
+learned, and `lagrangian` is the network. That module imports torch, so it is imported only by the
+methods that compute with the network.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
-from hil.data import BY_SAMPLE, Dataset, FilterSettings, SeriesKind, rows_of, told_by_sample
+from hil.arms import Payload
+from hil.core import DataError, FloatArray
+from hil.data import (
+    BY_SAMPLE,
+    Dataset,
+    FilterSettings,
+    Prediction,
+    SeriesKind,
+    Stream,
+    rows_of,
+    told_by_sample,
+)
 from hil.dynamics import RobotModel
 from hil.estimators import (
+    COULOMB,
     HONEST,
     MOST_SEED,
+    OFFSET,
+    STATIC,
+    VISCOUS,
+    FrictionCurve,
     Needs,
+    RobotEstimator,
     choice,
     mapping,
     number,
+    payload_torque,
     prepared,
     require_clean,
     require_motion,
     require_plausible,
     require_robot,
+    require_sizes,
     settings,
     share,
     torque_scale,
     whole,
+    with_prefix,
+    without_prefix,
 )
-from hil.networks.lagrangian import choices
-from hil.networks.lagrangian.direction import DIRECTION
-from hil.networks.lagrangian.fitted import LagrangianModel
-from hil.networks.lagrangian.friction_settings import FRICTIONS
-from hil.networks.lagrangian.task import Preparation
-from hil.networks.training import LEARN, TO_TRAIN, TrainingSettings, require_torch
+from hil.networks import lagrangian_settings as choices
+from hil.networks.lagrangian_data import DIRECTION, MOTION, Preparation, directions, smooth_sign
+from hil.networks.lagrangian_settings import FRICTIONS, Design
+from hil.networks.training import LEARN, TO_TRAIN, Curves, TrainingSettings, Watch, require_torch
 
 if TYPE_CHECKING:
-    from hil.networks.training import Watch
+    from hil.networks.lagrangian import NetworkModel
 
 
-class LagrangianEstimator(LagrangianModel):
+WEIGHTS = "network."
+"""The name of every weight in a model file begins with it."""
+
+
+class LagrangianEstimator(RobotEstimator):
     """A deep Lagrangian network with friction.
 
     Args:
@@ -64,6 +92,13 @@ class LagrangianEstimator(LagrangianModel):
             second to learn from.
 
     Attributes:
+        design_: What the network looks like.
+        weights_: Weights and scales of the network by name.
+        torque_std_: (n,) standard deviation of the torque that was learned from [N·m].
+        length_: (n,) in which Dahl's state comes round [rad]; None for the smooth sign.
+        filters_: Those that were used.
+        by_sample_: Whether a study drew rows to judge from the motions that were learned from.
+        curves_: How the training went.
         sigma_: (n,) RMSE at the trajectories held out, against the measured effort.
         watch_: Told every epoch of a fit; not stored.
         checkpoints_: Folder in which a fit is kept while it runs; not stored.
@@ -72,6 +107,13 @@ class LagrangianEstimator(LagrangianModel):
     estimator: ClassVar[str] = "lagrangian"
     series_kinds: ClassVar[tuple[tuple[SeriesKind, ...], ...]] = (("trajectory",), ("move",))
 
+    design_: Design
+    weights_: dict[str, np.ndarray[Any, Any]]
+    torque_std_: FloatArray
+    length_: FloatArray | None
+    filters_: FilterSettings
+    by_sample_: bool = False
+    curves_: Curves
     watch_: Watch | None = None
     checkpoints_: Path | None = None
 
@@ -105,6 +147,14 @@ class LagrangianEstimator(LagrangianModel):
         self.filters = None if filters is None else settings("filters", filters, FilterSettings)
         design, _ = self._settings()
         choices.require_agreement(self._settings_of, self.direction, design.friction)
+
+    def _settings(self) -> tuple[Design, TrainingSettings]:
+        protocol, friction = self._settings_of, {"rest_speed": self.sign_width}
+        design = choices.design(
+            self.friction, protocol, self.network, friction | self.friction_settings
+        )
+        training = choices.training_settings(protocol, self.loops, self.seed, self.training)
+        return design, training
 
     @property
     def protocol(self) -> str:
@@ -152,7 +202,7 @@ class LagrangianEstimator(LagrangianModel):
         return self
 
     def _learn(self, data: Dataset) -> None:
-        from hil.networks.lagrangian.fit import fit_network
+        from hil.networks.lagrangian import fit_network
 
         self.by_sample_ = told_by_sample(data)
         design, training = self._settings()
@@ -171,12 +221,129 @@ class LagrangianEstimator(LagrangianModel):
         found = self._predict(held_out, held_out[DIRECTION])
         self.sigma_ = np.sqrt(np.mean((held_out["effort"] - found.effort) ** 2, axis=0))
 
-    def _settings(self) -> tuple[choices.Design, TrainingSettings]:
-        friction = choices.friction_settings(
-            self._settings_of, self.sign_width, self.friction_settings
+    def predict(self, dataset: Dataset) -> Prediction:
+        """Effort per row: `inertia`, `coriolis`, `gravity`, `friction`, `payload`.
+
+        Raises:
+            DataError: The data are of another robot or unit, or cannot be filtered.
+        """
+        self.require_match(dataset)
+        data = prepared(dataset, self.filters_)
+        return self._predict(data, directions(data, self.sign_width, self.length_))
+
+    def stream(self, payload: Payload | None = None) -> Stream:
+        """A predictor for one sample at a time; it filters nothing."""
+        from hil.networks.lagrangian import NetworkStream
+
+        load = None
+        if payload is not None and not payload.is_empty:
+            load = partial(self.robot_.payload_effort, payload)
+        return NetworkStream(
+            self._network(), self.sign_width, self.length_, load, self.torque_scale_
         )
-        design = choices.design(self.friction, self._settings_of, self.network, friction)
-        training = choices.training_settings(
-            self._settings_of, self.loops, self.seed, self.training
-        )
-        return design, training
+
+    def mass_matrix(self, q: FloatArray) -> FloatArray:
+        """M(q) (N, n, n) as learned, symmetric and positive definite, at q (N, n) [kg·m²].
+
+        Raises:
+            DataError: The positions are not one number per joint.
+        """
+        from hil.networks.lagrangian import mass_matrix
+
+        n = self.robot_.n
+        if np.ndim(q) != 2 or np.shape(q)[1] != n:
+            raise DataError(
+                f"positions have the shape {np.shape(q)}, but must be (N, {n})",
+                hint="give a row per pose and a number per joint",
+            )
+        return mass_matrix(self._network(), q)
+
+    def friction_curve(self, qd: FloatArray) -> FrictionCurve | None:
+        """Friction at velocities (N, n) [rad/s]; None of Dahl's state, and of learned friction."""
+        from hil.networks.lagrangian import steady_friction
+
+        kind = self.design_.kind
+        if self.length_ is not None or kind not in ("coulomb", "stribeck"):
+            return None
+        width = 0.0 if self.design_.friction.sign == "hard" else self.sign_width
+        direction, found = smooth_sign(qd, width), self.intrinsic_
+        torque = steady_friction(self._network(), qd, direction)
+        if kind == "coulomb":
+            terms: tuple[str, ...] = (COULOMB, VISCOUS)
+            viscous = found["f_v"] * qd
+        else:
+            terms = (COULOMB, STATIC, VISCOUS)
+            viscous = direction * found["f_v"] * np.abs(qd) ** found["alpha"]
+        if OFFSET in found:
+            terms = (*terms, OFFSET)
+        return FrictionCurve(torque, torque - viscous, np.full_like(torque, np.nan), terms)
+
+    def _predict(self, data: Dataset, direction: FloatArray) -> Prediction:
+        from hil.networks.lagrangian import torques
+
+        motion = tuple(data[name] for name in MOTION)
+        parts = torques(self._network(), *motion, direction)
+        parts["payload"] = payload_torque(self.robot_, data, *motion)
+        parts = {name: part / self.torque_scale_ for name, part in parts.items()}
+        effort: FloatArray = np.sum(list(parts.values()), axis=0)
+        sigma = getattr(self, "sigma_", np.full(data.n_joints, np.nan))
+        std = np.broadcast_to(sigma, effort.shape)
+        return Prediction(effort, std, np.isfinite(effort), parts)
+
+    def _network(self) -> NetworkModel:
+        from hil.networks.lagrangian import network_of
+
+        return network_of(self.design_, self.torque_std_, self.weights_)
+
+    @property
+    def intrinsic_(self) -> dict[str, FloatArray]:
+        """Friction parameters that mean something, each (n,), by name."""
+        found: dict[str, FloatArray] = self._network().friction.intrinsic()
+        return found
+
+    def fitted_arrays(self) -> dict[str, FloatArray]:
+        """Weights, torque scales, deviations and the lengths of Dahl's states."""
+        arrays = {
+            "torque_std": self.torque_std_,
+            "torque_scale": self.torque_scale_,
+            "sigma": self.sigma_,
+        }
+        arrays = with_prefix(WEIGHTS, self.weights_) | arrays
+        return arrays if self.length_ is None else arrays | {"length": self.length_}
+
+    def fitted_facts(self) -> dict[str, Any]:
+        """The design, the filters, the friction's parameters and the learning curves."""
+        intrinsic = {name: values.tolist() for name, values in self.intrinsic_.items()}
+        return super().fitted_facts() | {
+            "design": self.design_.facts(),
+            "by_sample": self.by_sample_,
+            "filters": self.filters_.model_dump(),
+            "friction": intrinsic,
+            "curves": self.curves_.to_dict(),
+        }
+
+    def restore(self, arrays: dict[str, FloatArray], facts: dict[str, Any]) -> None:
+        """Take over what `fitted_arrays` and `fitted_facts` wrote.
+
+        Raises:
+            KeyError, TypeError, ValueError, SpecError: Something is missing or cannot be.
+            PluginError: The extra `learn` is missing.
+        """
+        require_torch()
+        self._restore_common(arrays, facts)
+        self.design_ = Design.restored(facts["design"])
+        self.filters_ = FilterSettings.model_validate(facts["filters"])
+        self.by_sample_ = bool(facts["by_sample"])
+        self.curves_ = Curves.from_dict(facts["curves"])
+        self.torque_std_, self.length_ = arrays["torque_std"], arrays.get("length")
+        self.weights_ = without_prefix(WEIGHTS, arrays)
+        require_sizes(self, torque_std=self.robot_.n)
+        length = self.length_
+        if length is not None and (
+            length.shape != (self.robot_.n,) or not np.all(np.isfinite(length) & (length > 0.0))
+        ):
+            raise ValueError(f"length: {length.tolist()!s:.60}")
+        self._network()
+
+
+LagrangianModel = LagrangianEstimator

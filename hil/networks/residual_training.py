@@ -1,0 +1,373 @@
+"""Training networks on what physics leaves; every trajectory is judged by one unaware of it.
+
+With folds there is a network for each: it learns from the others and stops by its own, and says
+what it would correct there. What predicts later is the mean of them all. Without folds there is
+one network, with trajectories of its own to stop by.
+
+`CausalTcn` is the network (eq. 26–27 of the PINN paper). Every layer is y = x + σ(w *_d x + b),
+chopped at its old end (Bai, Kolter & Koltun 2018), after inputs were brought to its channels;
+nothing looks ahead. Groups are networks side by side that share nothing. The last weights begin at
+zero: an untrained network adds nothing to the physics. The module imports torch: import it inside
+functions; `hil.networks.residual_tcn` predicts without.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from hil.core import BoolArray, DataError, FitError, FloatArray, IntArray
+from hil.data import Dataset, learn_and_validate
+from hil.networks.residual_data import (
+    GROUP,
+    TRAINING,
+    Motions,
+    NetworkInputs,
+    ResidualSettings,
+    Segments,
+    in_motion,
+    motion_frequency,
+    sizes,
+    slow_and_fast,
+)
+from hil.networks.residual_selection import Learnt, Physics
+from hil.networks.residual_tcn import Single, TcnWeights, TrainedTcn
+from hil.networks.training import Curves, LossKind, TrainingSettings, Watch, joint_stages, unwatched
+from hil.networks.training_loop import Loss, torch_device, torch_dtype, train
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """How networks are trained.
+
+    Attributes:
+        network: What they see, and how large they are.
+        training: Steps, batches, when to stop.
+        validation_share: Of the trajectories, to stop by where there are no folds.
+        seed: Of start weights, mini-batches and held-out trajectories.
+        watch: Told every epoch.
+        checkpoints: Folder to keep the training in.
+    """
+
+    network: ResidualSettings
+    training: TrainingSettings
+    validation_share: float
+    seed: int
+    watch: Watch | None
+    checkpoints: Path | None
+
+
+def learn(data: Dataset, physics: Physics, course: Course) -> Learnt:
+    """Train networks on filtered data at the full recorded rate.
+
+    Args:
+        data: All rows, prepared; none left out.
+        physics: What is corrected.
+        course: How.
+
+    Raises:
+        FitError: Training diverged, or there is nothing to learn from or to stop by.
+        DataError: Series are sampled at different rates, or the torque to be heard is missing.
+        PluginError: The extra `learn` is missing.
+    """
+    motions = Motions.of(data, physics.predicted, course.network)
+    residual = data["effort_f"] - physics.predicted
+    usable = physics.valid & in_motion(data)
+    correction = np.zeros_like(residual)
+    judged, used = (np.zeros(len(data), dtype=bool) for _ in range(2))
+    networks, curves = [], []
+    for number, (fit, stop) in enumerate(_rounds(data, physics.fold, course)):
+        _require_rows(fit & usable, stop & usable)
+        network, curve = _train(motions, residual, fit & usable, stop & usable, course, number)
+        held = stop & usable
+        correction[held] = network.predict(motions)[held]
+        judged |= held
+        used |= held | (fit & usable)
+        networks.append(network)
+        curves.append(curve)
+    return Learnt(tuple(networks), correction, judged, used, tuple(curves))
+
+
+def _rounds(data: Dataset, fold: IntArray, course: Course) -> Iterator[tuple[BoolArray, BoolArray]]:
+    """Rows to learn from and rows to stop by, once per network."""
+    numbers = np.unique(fold[fold >= 0])
+    if len(numbers) < 2:
+        yield learn_and_validate(data, course.validation_share, course.seed)
+        return
+    for number in numbers:
+        yield (fold >= 0) & (fold != number), fold == number
+
+
+def _require_rows(fit: BoolArray, stop: BoolArray) -> None:
+    for rows, what in ((fit, "to learn from"), (stop, "to stop by")):
+        if not np.any(rows):
+            raise FitError(
+                f"the residual network has no rows {what} for which the physics is valid",
+                hint="give at least two trajectories, or one that is longer",
+            )
+
+
+def _train(
+    motions: Motions,
+    residual: FloatArray,
+    fit: BoolArray,
+    stop: BoolArray,
+    course: Course,
+    number: int,
+) -> tuple[TrainedTcn, Curves]:
+    settings = course.training.model_copy(update={"seed": course.seed + number})
+    problem = ResidualProblem(
+        motions,
+        residual,
+        fit,
+        stop,
+        course.network,
+        loss=settings.loss,
+        seed=settings.seed,
+        device=torch_device(settings.device),
+        dtype=torch_dtype(settings.precision),
+    )
+    kept = None if course.checkpoints is None else course.checkpoints / f"network-{number + 1}"
+    curves = train(
+        problem, joint_stages(settings, "residual"), settings, course.watch or unwatched, kept
+    )
+    return problem.trained(), curves
+
+
+TOGETHER = 64
+"""Crops validated at once; bounds memory."""
+
+
+class ResidualProblem:
+    """What a physical model leaves, to be learned at the full recorded rate.
+
+    A sample is a crop: `settings.crop` instants to predict with the windows before them. Those
+    instants count that are to be learned from; inputs may come from any row, since a causal
+    network sees only what was before.
+
+    Args:
+        motions: All series, no rows left out.
+        residual: (N, n) measured minus predicted effort.
+        learn: (N,) rows to learn from; scales, the cut-off between slow and fast, and the two
+            parts are of these alone. What smoothed the residual before is not known here.
+        validate: (N,) rows to stop by.
+        settings: The network's.
+        loss: Of errors over the size of the residual, or of its slow and fast part each.
+        seed: Of the start weights.
+        device: Where the data are kept and the network is trained.
+        dtype: Of both.
+
+    Attributes:
+        module: The `CausalTcn`; branches and joints are groups of it.
+        samples: Crops.
+        f_cut_hz: Where slow and fast part; 0 without a split.
+
+    Raises:
+        DataError: There are no rows to learn from or to stop by, values are not finite, or the
+            torque that shall be heard is not there.
+    """
+
+    def __init__(
+        self,
+        motions: Motions,
+        residual: FloatArray,
+        learn: BoolArray,
+        validate: BoolArray,
+        settings: ResidualSettings,
+        *,
+        loss: LossKind = TRAINING["loss"],
+        seed: int = 0,
+        device: torch.device | str = "cpu",
+        dtype: torch.dtype = torch.float32,
+    ) -> None:
+        _require_usable(motions, residual, learn, validate)
+        self.settings, self.motions = settings, motions
+        self.inputs = NetworkInputs.scaled_to(motions, learn, settings)
+        self.f_cut_hz = _cut_off(motions, learn, settings)
+        parts = residual[None]
+        if settings.parted:
+            parts = slow_and_fast(residual, motions, self.f_cut_hz, learn)
+        self.scale = sizes(parts, learn)
+        self._size = sizes(residual[None], learn)[0]
+        self._learn = Segments.of(motions, learn, settings)
+        self._validate = Segments.of(motions, validate, settings)
+        self.samples = len(self._learn)
+
+        def tensor(values: FloatArray) -> Tensor:
+            return torch.as_tensor(values, dtype=dtype, device=device).contiguous()
+
+        x = self.inputs.of(motions)
+        self._x = tensor(np.moveaxis(x, 0, -1)[..., self._learn.padded])  # (G, F, P)
+        self._target = tensor((parts / self.scale[:, None]).transpose(1, 0, 2))  # (N, branches, n)
+        self._loss = Loss(loss, np.ones(motions.n))
+        groups, features = x.shape[1:]
+        network = CausalTcn(
+            features, motions.n // groups, settings, settings.branches * groups, seed
+        )
+        self._network = network.to(device=device, dtype=dtype)
+        self.module: nn.Module = self._network
+
+    def groups(self) -> Mapping[str, Sequence[nn.Parameter]]:
+        """One group: all weights."""
+        return {GROUP: tuple(self.module.parameters())}
+
+    def loss(self, chosen: Tensor) -> Tensor:
+        """Mean over the rows that count, branches and joints of the crops (B,)."""
+        numbers = chosen.cpu().numpy()
+        rows = torch.as_tensor(self._learn.rows[numbers], device=self._x.device)
+        counted = torch.as_tensor(self._learn.counted[numbers], device=self._x.device)
+        each = self._loss.elements(self._outputs(self._learn, numbers), self._target[rows])
+        return each[counted].mean()
+
+    def validate(self) -> float:
+        """Error over the size of what is learned from, mean over joints.
+
+        About 1 is what adding nothing gives.
+        """
+        return float(np.mean(self.validation_errors() / self._size))
+
+    def validation_errors(self) -> FloatArray:
+        """(n,) root mean square error over the rows to stop by, in units of effort."""
+        squares, count = np.zeros(self.motions.n), 0
+        scale = torch.as_tensor(self.scale, dtype=self._x.dtype, device=self._x.device)
+        for numbers in np.array_split(
+            np.arange(len(self._validate)), -(-len(self._validate) // TOGETHER)
+        ):
+            counted = torch.as_tensor(self._validate.counted[numbers], device=self._x.device)
+            rows = torch.as_tensor(self._validate.rows[numbers], device=self._x.device)
+            with torch.no_grad():
+                error = self._outputs(self._validate, numbers) - self._target[rows]
+                left = (error * scale).sum(dim=-2)[counted]
+            squares += left.double().square().sum(dim=0).cpu().numpy()
+            count += len(left)
+        return np.asarray(np.sqrt(squares / count))
+
+    def trained(self) -> TrainedTcn:
+        """The network as it is now."""
+        return TrainedTcn(
+            self.inputs, self._network.weights(), self.scale, self.motions.rate_hz, self.f_cut_hz
+        )
+
+    def _outputs(self, segments: Segments, numbers: IntArray) -> Tensor:
+        """(B, crop, branches, n) of the crops with these numbers."""
+        at = torch.as_tensor(segments.inputs_of(numbers, self.settings), device=self._x.device)
+        x = self._x[..., at].permute(2, 0, 1, 3)  # (B, G, F, L)
+        y = self._network(x.repeat(1, self.settings.branches, 1, 1), segments.every)
+        # (B, branches·G, O, crop), and G·O = n.
+        return y.flatten(1, 2).unflatten(1, self.scale.shape).permute(0, 3, 1, 2)
+
+
+def _require_usable(
+    motions: Motions, residual: FloatArray, learn: BoolArray, validate: BoolArray
+) -> None:
+    if not (np.any(learn) and np.any(validate)):
+        raise DataError(
+            "a residual network needs rows to learn from and rows to stop by",
+            hint="record more, or lower validation_share",
+        )
+    columns = {"q": motions.q, "qd": motions.qd, "qdd": motions.qdd, "base": motions.base}
+    columns |= {"residual": residual}
+    columns |= {} if motions.effort is None else {"effort": motions.effort}
+    for name, values in columns.items():
+        if values.shape != motions.q.shape or not np.all(np.isfinite(values)):
+            raise DataError(
+                f"{name} of the residual network is not finite or not {motions.q.shape}",
+                hint="import the file again with --drop-bad-rows, or leave the series out",
+            )
+
+
+def _cut_off(motions: Motions, learn: BoolArray, settings: ResidualSettings) -> float:
+    if not settings.parted:
+        return 0.0
+    return settings.f_cut_hz if settings.f_cut_hz != "auto" else motion_frequency(motions, learn)
+
+
+class CausalTcn(nn.Module):
+    """G causal networks, each with its own inputs and outputs.
+
+    Args:
+        inputs: F, of each group.
+        outputs: O, of each group.
+        settings: Channels, kernel, dilations, activation.
+        groups: G.
+        seed: Of the start weights.
+    """
+
+    def __init__(
+        self, inputs: int, outputs: int, settings: ResidualSettings, groups: int = 1, seed: int = 0
+    ) -> None:
+        super().__init__()
+        self.settings = settings
+        self.groups = groups
+        width, kernel = settings.width, settings.kernel
+        draw = torch.Generator().manual_seed(seed)
+
+        def drawn(*shape: int, fan_in: int) -> nn.Parameter:
+            bound = 1.0 / math.sqrt(fan_in)
+            return nn.Parameter((2 * torch.rand(shape, generator=draw) - 1) * bound)
+
+        self.enter = drawn(groups, width, inputs, fan_in=inputs)
+        self.enter_bias = nn.Parameter(torch.zeros(groups, width))
+        self.taps = nn.ParameterList(
+            drawn(groups, width, width, kernel, fan_in=width * kernel) for _ in settings.dilations
+        )
+        self.biases = nn.ParameterList(
+            drawn(groups, width, fan_in=width * kernel) for _ in settings.dilations
+        )
+        self.leave = nn.Parameter(torch.zeros(groups, outputs, width))
+        self.leave_bias = nn.Parameter(torch.zeros(groups, outputs))
+
+    def forward(self, x: Tensor, every: int = 1) -> Tensor:
+        """(B, G, O, L) from inputs (B, G, F, (L - 1)·every + window).
+
+        Args:
+            x: Inputs at every sample.
+            every: Samples between outputs; it divides all dilations but the first. Layers behind
+                the first then need no other instants: they cost so many times less.
+        """
+        batch, length = x.shape[0], x.shape[-1]
+        h = self._mixed(x.reshape(batch, -1, length), self.enter, self.enter_bias)
+        for number, dilation in enumerate(self.settings.dilations):
+            apart = (every, dilation) if number == 0 else (1, dilation // every)
+            h = self._layer(h, number, *apart)
+        out = self._mixed(h, self.leave, self.leave_bias)
+        return out.reshape(batch, self.groups, -1, out.shape[-1])
+
+    def _layer(self, h: Tensor, number: int, stride: int, dilation: int) -> Tensor:
+        taps, bias = self.taps[number], self.biases[number]
+        y = functional.conv1d(
+            h, taps.flatten(0, 1), bias.flatten(), stride, 0, dilation, self.groups
+        )
+        y = torch.tanh(y) if self.settings.activation == "tanh" else torch.relu(y)
+        newest = (self.settings.kernel - 1) * dilation
+        return y + h[..., newest::stride][..., : y.shape[-1]]
+
+    def _mixed(self, h: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+        """Channels of each group mixed, sample by sample."""
+        return functional.conv1d(
+            h, weight.flatten(0, 1)[..., None], bias.flatten(), groups=self.groups
+        )
+
+    def weights(self) -> TcnWeights:
+        """As they are now, for prediction without torch."""
+        return TcnWeights(
+            enter=_array(self.enter),
+            enter_bias=_array(self.enter_bias),
+            taps=tuple(_array(taps) for taps in self.taps),
+            biases=tuple(_array(bias) for bias in self.biases),
+            leave=_array(self.leave),
+            leave_bias=_array(self.leave_bias),
+            dilations=self.settings.dilations,
+            activation=self.settings.activation,
+        )
+
+
+def _array(values: Tensor) -> Single:
+    return np.array(values.detach().float().cpu().numpy())
