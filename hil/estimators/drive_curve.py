@@ -17,7 +17,7 @@ import numpy as np
 
 from hil.core import BoolArray, FitError, FloatArray, IntArray
 from hil.estimators.covariance import Clustered, ClusterSums, clustered_covariance
-from hil.estimators.regression import WeightedLeastSquares
+from hil.estimators.least_squares import weighted_least_squares
 
 Constants = FloatArray | float
 """(n,) one number per joint, or the same for all."""
@@ -29,16 +29,13 @@ def has_current(torque: FloatArray, k1: Constants, k2: Constants, k0: Constants 
     return found
 
 
-def _discriminant(rest: FloatArray, k1: Constants, k2: Constants) -> FloatArray:
-    return np.asarray(np.square(k1) + 4.0 * k2 * np.abs(rest))
-
-
 def nearest_current(
     torque: FloatArray, k1: Constants, k2: Constants, k0: Constants = 0.0
 ) -> FloatArray:
-    """As `current_of`; for a torque that no current makes, the current at the turning point.
+    """Motor current [A] of joint torques [N·m], the inverse of eq. 16 on its growing branch.
 
-    K₁ must be above 0, which is for the caller to see to.
+    Elementwise with broadcasting; for a torque that no current makes, the current at the turning
+    point. K₁ must be above 0, which is for the caller to see to.
     """
     rest = np.asarray(torque - k0)
     root = np.sqrt(np.maximum(_discriminant(rest, k1, k2), 0.0))
@@ -49,17 +46,15 @@ def nearest_current(
     return np.where(has_current(torque, k1, k2, k0), current, turning)
 
 
+def _discriminant(rest: FloatArray, k1: Constants, k2: Constants) -> FloatArray:
+    return np.asarray(np.square(k1) + 4.0 * k2 * np.abs(rest))
+
+
 def slope_at(current: FloatArray, k1: Constants, k2: Constants) -> FloatArray:
     """Torque per current [N·m/A] at a current; 0 at the turning point."""
     slope: FloatArray = k1 + 2.0 * k2 * np.abs(current)
     return slope
 
-
-MOST_STEPS = 50
-MOST_HALVINGS = 30
-
-SMALL_STEP = 1e-10
-"""Change of the predicted currents, relative to the largest one, at which the fit has arrived."""
 
 VISIBLE = 0.1
 """Share of K₁; at a drive's largest current K₂·i is a few percent of it."""
@@ -89,7 +84,7 @@ class Currents:
 
 
 class CurrentFit(NamedTuple):
-    """What Gauss–Newton arrived at.
+    """Where the error of the predicted current is least.
 
     Attributes:
         coefficients: (p,) torque [N·m] per column of X.
@@ -119,74 +114,71 @@ def fit_currents(data: Currents, squares: list[int]) -> CurrentFit:
     Raises:
         FitError: It does not settle.
     """
-    theta, solver = _settled(data, squares)
+    theta = _settled(data, squares)
     J, residual = _linearised(data, theta, squares)
+    step = weighted_least_squares(J, residual, data.weight)
     sums = ClusterSums.of(J, residual, data.weight, data.pose)
-    found = clustered_covariance(solver.bread_, sums)
-    condition, p = float(solver.condition_), data.X.shape[1]
-    return CurrentFit(theta[:p], theta[p:], found, residual, int(solver.rank_), condition, J)
+    found = clustered_covariance(step.bread, sums)
+    p = data.X.shape[1]
+    return CurrentFit(theta[:p], theta[p:], found, residual, step.rank, step.condition, J)
 
 
-def _settled(data: Currents, squares: list[int]) -> tuple[FloatArray, WeightedLeastSquares]:
-    """Coefficients and K₂ at which the error is least, and the last step's solver."""
+def _settled(data: Currents, squares: list[int]) -> FloatArray:
+    """Coefficients (p,) and K₂ (k,) at which the error is least."""
     torque = data.k1 * data.current - data.load
-    start = WeightedLeastSquares().fit(data.X, torque, data.weight / data.k1**2)
-    theta = np.append(start.coef_, np.zeros(len(squares)))
-    largest = float(np.max(np.abs(data.current), initial=0.0))
-    for _ in range(MOST_STEPS):
-        J, residual = _linearised(data, theta, squares)
-        solver = WeightedLeastSquares().fit(J, residual, data.weight)
-        theta = _shortened(data, theta, solver.coef_, squares, residual)
-        if float(np.max(np.abs(J @ solver.coef_))) <= SMALL_STEP * largest:
-            return theta, solver
-    raise FitError(
-        "the drive's curve (K₂ of eq. 16) did not settle: the data tell too little about it",
-        hint="fit with square: zero, or record poses with larger gravity torques",
+    straight = weighted_least_squares(data.X, torque, data.weight / data.k1**2).coefficients
+    if not squares:  # the current of a drive that does not bend is linear in them
+        return straight
+    from scipy.optimize import least_squares
+
+    root = np.sqrt(data.weight)
+    found = least_squares(
+        lambda theta: root * (data.current - _predicted(data, theta, squares)[0]),
+        np.append(straight, np.zeros(len(squares))),
+        lambda theta: -root[:, None] * _linearised(data, theta, squares)[0],
+        x_scale="jac",
+        # As far as rounding allows: the covariance takes the gradient for zero.
+        ftol=1e-15,
+        xtol=1e-15,
+        gtol=1e-15,
     )
+    if not (found.success and np.all(_predicted(data, found.x, squares)[1])):
+        raise FitError(
+            "the drive's curve (K₂ of eq. 16) did not settle: the data tell too little about it",
+            hint="fit with square: zero, or record poses with larger gravity torques",
+        )
+    return np.asarray(found.x)
+
+
+def _predicted(
+    data: Currents, theta: FloatArray, squares: list[int]
+) -> tuple[FloatArray, BoolArray, FloatArray]:
+    """Current of each row, whether there is one for its torque, and its slope, each (N,)."""
+    p = data.X.shape[1]
+    k2 = np.zeros(len(data.current))
+    for number, joint in enumerate(squares):
+        k2[data.joint == joint] = theta[p + number]
+    torque = data.X @ theta[:p] + data.load
+    current = nearest_current(torque, data.k1, k2)
+    return current, has_current(torque, data.k1, k2), slope_at(current, data.k1, k2)
 
 
 def _linearised(
     data: Currents, theta: FloatArray, squares: list[int]
 ) -> tuple[FloatArray, FloatArray]:
     """Jacobian (N, p + k) of the predicted current, and the residual (N,)."""
-    torque, k2 = _torque_and_k2(data, theta, squares)
-    current = nearest_current(torque, data.k1, k2)
-    slope = slope_at(current, data.k1, k2)
+    current, exists, slope = _predicted(data, theta, squares)
     own = data.joint[:, None] == np.array(squares, dtype=np.int64)
     by_k2 = np.where(own, -(current * np.abs(current))[:, None], 0.0)
-    J: FloatArray = np.hstack([data.X, by_k2]) / slope[:, None]
+    # Beyond the turning point the current stays where it is, whatever the torque.
+    per_torque = np.divide(1.0, slope, out=np.zeros_like(slope), where=exists & (slope > 0.0))
+    J: FloatArray = np.hstack([data.X, by_k2]) * per_torque[:, None]
     return J, data.current - current
-
-
-def _torque_and_k2(
-    data: Currents, theta: FloatArray, squares: list[int]
-) -> tuple[FloatArray, FloatArray]:
-    p = data.X.shape[1]
-    k2 = np.zeros(len(data.current))
-    for number, joint in enumerate(squares):
-        k2[data.joint == joint] = theta[p + number]
-    return data.X @ theta[:p] + data.load, k2
-
-
-def _shortened(
-    data: Currents, theta: FloatArray, step: FloatArray, squares: list[int], residual: FloatArray
-) -> FloatArray:
-    """The step, halved until every torque has a current and the error does not grow."""
-    cost = float(data.weight @ residual**2)
-    for halving in range(MOST_HALVINGS):
-        tried: FloatArray = theta + step / 2.0**halving
-        torque, k2 = _torque_and_k2(data, tried, squares)
-        if not np.all(has_current(torque, data.k1, k2)):
-            continue
-        error = data.current - nearest_current(torque, data.k1, k2)
-        if float(data.weight @ error**2) <= cost * (1 + 1e-12):
-            return tried
-    return theta
 
 
 def linear_residual(data: Currents) -> FloatArray:
     """(N,) error of the currents of a drive that does not bend."""
-    return _linearised(data, _settled(data, [])[0], [])[1]
+    return _linearised(data, _settled(data, []), [])[1]
 
 
 def visible_squares(data: Currents, joints: list[int]) -> list[int]:
@@ -195,16 +187,16 @@ def visible_squares(data: Currents, joints: list[int]) -> list[int]:
     To first order about a linear drive: the standard error of K₂·i at the joint's largest current
     must be below `VISIBLE` of K₁. With less, the curve is fitted to friction.
     """
-    theta = np.append(_settled(data, [])[0], 0.0) if joints else np.empty(0)
+    theta = np.append(_settled(data, []), 0.0) if joints else np.empty(0)
     return [joint for joint in joints if _is_visible(data, theta, joint)]
 
 
 def _is_visible(data: Currents, theta: FloatArray, joint: int) -> bool:
     J, residual = _linearised(data, theta, [joint])
-    solver = WeightedLeastSquares().fit(J, residual, data.weight)
-    sums = ClusterSums.of(J, residual - J @ solver.coef_, data.weight, data.pose)
-    error = np.sqrt(clustered_covariance(solver.bread_, sums, "CR1").covariance[-1, -1])
+    step = weighted_least_squares(J, residual, data.weight)
+    sums = ClusterSums.of(J, residual - J @ step.coefficients, data.weight, data.pose)
+    error = np.sqrt(clustered_covariance(step.bread, sums, "CR1").covariance[-1, -1])
     rows = data.joint == joint
     largest = float(np.max(np.abs(data.current[rows])))
-    determined = solver.rank_ == len(theta)
+    determined = step.rank == len(theta)
     return bool(determined and error * largest < VISIBLE * data.k1[rows][0])
