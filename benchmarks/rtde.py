@@ -18,7 +18,7 @@ import numpy as np
 
 from hil.core.errors import RobotError
 from hil.core.typing import FloatArray, StructArray
-from hil_drivers.ur.receiver import Receiver
+from hil_drivers.ur.rtde import Receiver
 
 SECONDS, QUICK_SECONDS = 20.0, 3.0
 SETTLE_S = 2.0

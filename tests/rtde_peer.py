@@ -34,7 +34,7 @@ def text(message: str, source: str = "test", level: int = 3) -> bytes:
 
 def types_of_hil() -> dict[str, str]:
     """Every output the reader may ask for, with its true type."""
-    from hil_drivers.ur.fields import FIELDS
+    from hil_drivers.ur.rtde import FIELDS
 
     return {field.name: field.type for field in FIELDS}
 

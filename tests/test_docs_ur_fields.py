@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from hil_drivers.ur.fields import FIELDS
-from hil_drivers.ur.rows import EFFORTS, further_topic, ros_name
+from hil_drivers.ur.rtde import FIELDS
+from hil_drivers.ur.state import EFFORTS, further_topic, ros_name
 
 PAGE = (Path(__file__).parent.parent / "docs/reference/ur-driver-fields.md").read_text("utf-8")
 

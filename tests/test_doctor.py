@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 
 from hil.cli.app import app
 from hil.doctor import Finding, can, clock, examine, machine, packages, permissions, ports, robots
-from hil_drivers.ur import reach
+from hil_drivers.ur import controller as ur_controller
 
 pytestmark = pytest.mark.quick
 
@@ -217,35 +217,35 @@ def controller(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, str]]:
         "is in remote control": "true",
     }
     port, server = serve_dashboard(answers)
-    monkeypatch.setattr(reach, "PORT", port)
-    monkeypatch.setattr("hil_drivers.ur.dashboard.PORT", port)
-    monkeypatch.setattr(reach, "PORTS", {port: "dashboard"})
+    monkeypatch.setattr(ur_controller, "DASHBOARD_PORT", port)
+    monkeypatch.setattr("hil_drivers.ur.dashboard.DASHBOARD_PORT", port)
+    monkeypatch.setattr(ur_controller, "PORTS", {port: "dashboard"})
     yield answers
     server.close()
 
 
 def test_a_controller_is_asked_for_its_mode_and_its_control(controller: dict[str, str]) -> None:
-    assert all(one.passed for one in reach.reached("127.0.0.1"))
+    assert all(one.passed for one in ur_controller.reached("127.0.0.1"))
     controller |= {
         "robotmode": "Robotmode: IDLE",
         "safetymode": "Safetymode: PROTECTIVE_STOP",
         "is in remote control": "false",
     }
-    missed = {one.name: one.message for one in reach.reached("127.0.0.1") if not one.passed}
+    missed = {one.name: one.message for one in ur_controller.reached("127.0.0.1") if not one.passed}
     assert missed == {
         "mode": "robot mode IDLE",
         "safety": "safety mode PROTECTIVE_STOP",
         "control": "in local control",
     }
     del controller["is in remote control"]  # an older controller knows no such thing
-    assert "control" not in {one.name for one in reach.reached("127.0.0.1")}
+    assert "control" not in {one.name for one in ur_controller.reached("127.0.0.1")}
 
 
 def test_robots_that_are_not_there_are_bad_and_say_how_to_mend(
     monkeypatch: pytest.MonkeyPatch, station: Path
 ) -> None:
-    monkeypatch.setattr(reach, "PORTS", {9: "dashboard"})
-    monkeypatch.setattr(reach, "PORT", 9)
+    monkeypatch.setattr(ur_controller, "PORTS", {9: "dashboard"})
+    monkeypatch.setattr(ur_controller, "DASHBOARD_PORT", 9)
     found = {one.what: one for one in robots.asked(station)}
     assert found["station"].level == found["mock robots"].level == "ok"
     assert found["mock robots"].finding.startswith("inside:")
@@ -260,10 +260,10 @@ def test_a_controller_that_says_nothing_is_waited_for_no_longer_than_that(
 ) -> None:
     with socket.create_server(("127.0.0.1", 0)) as mute:
         port = mute.getsockname()[1]
-        monkeypatch.setattr(reach, "PORTS", {port: "dashboard"})
-        monkeypatch.setattr(reach, "PORT", port)
-        monkeypatch.setattr("hil_drivers.ur.dashboard.PORT", port)
-        told = list(reach.reached("127.0.0.1", within_s=0.1))
+        monkeypatch.setattr(ur_controller, "PORTS", {port: "dashboard"})
+        monkeypatch.setattr(ur_controller, "DASHBOARD_PORT", port)
+        monkeypatch.setattr("hil_drivers.ur.dashboard.DASHBOARD_PORT", port)
+        told = list(ur_controller.reached("127.0.0.1", within_s=0.1))
     assert (told[-1].name, told[-1].passed) == ("dashboard", False)
 
 

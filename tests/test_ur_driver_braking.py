@@ -7,9 +7,9 @@ import pytest
 
 from hil.core.errors import CommandRefused, SpecError
 from hil.robot import Segment
-from hil_drivers.ur.braking import Ramp
 from hil_drivers.ur.options import SERIES_HZ, options_of
 from hil_drivers.ur.robot import UrRobot
+from hil_drivers.ur.servo import Ramp
 
 ROW = np.dtype([("timestamp", "f8"), ("target_qd", "f8", 6), ("target_TCP_speed", "f8", 6)])
 
@@ -62,7 +62,7 @@ def test_an_arm_obeys_when_its_commanded_speed_falls_also_out_of_a_start():
 def test_an_arm_that_has_not_begun_to_move_does_not_stand_before_the_stop_was_made():
     ramp = Ramp(row(0.0, 0.0), options(), led=False)
     assert not ramp.stands(row(0.0, 0.0))
-    ramp.told = True
+    ramp.answered = True
     assert ramp.stands(row(0.0, 0.0))
 
 

@@ -15,19 +15,14 @@ from hil.core.errors import CommandRefused, RobotConnectionError, RobotFault, Sp
 from hil.robot import Segment, Status, state_dtype
 from hil_drivers.arm import require_liftable
 from hil_drivers.network import ip_address_of
-from hil_drivers.ur.configuration import limits_in
-from hil_drivers.ur.controller import KEPT_S
-from hil_drivers.ur.facts import capabilities_of, limits_of, require_playable
-from hil_drivers.ur.faults import fault_of
-from hil_drivers.ur.feed import CATCH_UP, Feed
-from hil_drivers.ur.lag import LagWatch
-from hil_drivers.ur.motion_child import PROGRESS
-from hil_drivers.ur.options import options_of
-from hil_drivers.ur.robot import UrRobot
-from hil_drivers.ur.rows import TOPIC
-from hil_drivers.ur.session import Told, require_ready
-from hil_drivers.ur.standing import Standing
-from hil_drivers.ur.watch import Watch
+from hil_drivers.ur.controller import KEPT_S, require_ready
+from hil_drivers.ur.controller import DashboardFacts as Facts
+from hil_drivers.ur.motion import PROGRESS
+from hil_drivers.ur.options import capabilities_of, limits_of, options_of, require_playable
+from hil_drivers.ur.primary import limits_in
+from hil_drivers.ur.robot import Standing, UrRobot, Watch
+from hil_drivers.ur.servo import CATCH_UP, LagWatch, SetPointFeed
+from hil_drivers.ur.state import TOPIC, fault_of
 
 pytestmark = pytest.mark.quick
 
@@ -87,14 +82,14 @@ def ramp(rows=100):
 
 
 def test_a_set_point_per_tick_of_the_robot():
-    feed = Feed(ramp(), 125.0, begun=10.0)
+    feed = SetPointFeed(ramp(), 125.0, begun=10.0)
     told = [feed.due(10.0 + TICK_S * k)[0] for k in range(1, 100)]
     assert told == pytest.approx(range(1, 100))
     assert feed.over
 
 
 def test_ticks_that_were_missed_are_caught_up_with_gently():
-    feed = Feed(ramp(), 125.0, begun=0.0)
+    feed = SetPointFeed(ramp(), 125.0, begun=0.0)
     feed.due(TICK_S)
     steps, last = [], 1.0
     for k in range(12, 70):  # ten ticks missed
@@ -108,7 +103,7 @@ def test_ticks_that_were_missed_are_caught_up_with_gently():
 
 @pytest.mark.parametrize("every", [2, 3])
 def test_a_host_that_answers_every_few_ticks_catches_up_too(every):
-    feed = Feed(ramp(900), 500.0, begun=0.0)
+    feed = SetPointFeed(ramp(900), 500.0, begun=0.0)
     for k in range(every, 800, every):
         if 200 < k < 230:  # 60 ms in which nothing was answered
             continue
@@ -119,27 +114,27 @@ def test_a_host_that_answers_every_few_ticks_catches_up_too(every):
 
 
 def test_a_few_missed_ticks_are_made_up_for_at_once():
-    feed = Feed(ramp(), 125.0, begun=0.0)
+    feed = SetPointFeed(ramp(), 125.0, begun=0.0)
     feed.due(TICK_S)
     assert feed.due(TICK_S * 5)[0] == pytest.approx(5.0)
     assert feed.late_s == pytest.approx(0.0)
 
 
 def test_late_set_points_say_how_late():
-    feed = Feed(ramp(), 125.0, begun=0.0)
+    feed = SetPointFeed(ramp(), 125.0, begun=0.0)
     feed.due(TICK_S * 51)
     assert feed.late_s == pytest.approx((51 - CATCH_UP) * TICK_S)
 
 
 def test_a_clock_that_stands_still_commands_the_same_again():
-    feed = Feed(ramp(), 125.0, begun=0.0)
+    feed = SetPointFeed(ramp(), 125.0, begun=0.0)
     assert feed.due(TICK_S)[0] == feed.due(TICK_S)[0]
 
 
 def test_lag_within_the_window_is_no_lag_at_any_speed():
     watch = LagWatch(lag_s=0.2, lag_rad=0.01)
     for k in range(100):
-        watch.tell(k * TICK_S, np.full(6, 3.0 * k * TICK_S))
+        watch.note(k * TICK_S, np.full(6, 3.0 * k * TICK_S))
         if k > 25:
             assert not watch.lost(np.full(6, 3.0 * (k - 25) * TICK_S))
     assert watch.lost(np.full(6, 3.0 * (99 - 30) * TICK_S))
@@ -147,7 +142,7 @@ def test_lag_within_the_window_is_no_lag_at_any_speed():
 
 def test_lag_says_which_joint_is_beside_the_path():
     watch = LagWatch(lag_s=0.2, lag_rad=0.01)
-    watch.tell(0.0, np.zeros(6))
+    watch.note(0.0, np.zeros(6))
     off = watch.off(np.array([0, 0, 0.3, 0, 0, 0]))
     assert (off.argmax(), off.max()) == (2, pytest.approx(0.3))
 
@@ -262,7 +257,7 @@ def test_what_to_do_is_said_once():
         assert hint.count("switch the arm on") == 1
         assert hint.count("brakes") == 1
         with pytest.raises(RobotFault) as caught:
-            require_ready("10.0.0.3", "ur5", Told(), (3, 15, 8, 0), raw(safety, 3))
+            require_ready("10.0.0.3", "ur5", Facts(), (3, 15, 8, 0), raw(safety, 3))
         assert caught.value.hint.count("brakes") == 1
 
 
@@ -279,19 +274,40 @@ CB3, E = (3, 15, 8, 0), (5, 12, 2, 0)
 @pytest.mark.parametrize(
     ("model", "told", "version", "row", "kind", "said"),
     [
-        ("ur5e", Told(), CB3, raw(), RobotConnectionError, "CB3 controller"),
-        ("ur5", Told(model="UR10"), CB3, raw(), RobotConnectionError, "moves a UR10"),
-        ("ur5", Told(), (3, 9, 0, 0), raw(), RobotConnectionError, "does not tell the payload"),
-        ("ur5e", Told(), (10, 1, 0, 0), raw(), RobotConnectionError, "not supported"),
-        ("ur5e", Told(remote="false"), E, raw(), RobotFault, "local control"),
-        ("ur5", Told(), CB3, raw(runtime=1, share=0.5), RobotFault, "speed slider is at 50%"),
-        ("ur5", Told(), CB3, raw(safety=3, runtime=1), RobotFault, "protective stop"),
-        ("ur5", Told(), CB3, raw(runtime=2), RobotFault, "a program is running"),
-        ("ur5", Told(), CB3, raw(runtime=5), RobotFault, "a program is running"),
-        ("ur5", Told(), CB3, raw(runtime=3), RobotFault, "a program is paused"),
-        ("ur5", Told(), CB3, raw(runtime=4), RobotFault, "a program is paused"),
-        ("ur5", Told(), CB3, raw(runtime=0), RobotFault, "about to end"),
-        ("ur5", Told(), CB3, raw(runtime=1, speed=0.1), RobotFault, "moving at 0.100 rad/s"),
+        ("ur5e", Facts(), CB3, raw(), RobotConnectionError, "CB3 controller"),
+        ("ur5", Facts(model="UR10"), CB3, raw(), RobotConnectionError, "moves a UR10"),
+        (
+            "ur5",
+            Facts(),
+            (3, 9, 0, 0),
+            raw(),
+            RobotConnectionError,
+            "does not tell the payload",
+        ),
+        ("ur5e", Facts(), (10, 1, 0, 0), raw(), RobotConnectionError, "not supported"),
+        ("ur5e", Facts(remote="false"), E, raw(), RobotFault, "local control"),
+        (
+            "ur5",
+            Facts(),
+            CB3,
+            raw(runtime=1, share=0.5),
+            RobotFault,
+            "speed slider is at 50%",
+        ),
+        ("ur5", Facts(), CB3, raw(safety=3, runtime=1), RobotFault, "protective stop"),
+        ("ur5", Facts(), CB3, raw(runtime=2), RobotFault, "a program is running"),
+        ("ur5", Facts(), CB3, raw(runtime=5), RobotFault, "a program is running"),
+        ("ur5", Facts(), CB3, raw(runtime=3), RobotFault, "a program is paused"),
+        ("ur5", Facts(), CB3, raw(runtime=4), RobotFault, "a program is paused"),
+        ("ur5", Facts(), CB3, raw(runtime=0), RobotFault, "about to end"),
+        (
+            "ur5",
+            Facts(),
+            CB3,
+            raw(runtime=1, speed=0.1),
+            RobotFault,
+            "moving at 0.100 rad/s",
+        ),
     ],
 )
 def test_an_arm_that_may_not_be_moved_is_refused(model, told, version, row, kind, said):
@@ -302,14 +318,14 @@ def test_an_arm_that_may_not_be_moved_is_refused(model, told, version, row, kind
 
 def test_all_reasons_are_told_at_once():
     with pytest.raises(RobotFault) as caught:
-        require_ready("a", "ur5e", Told(remote="false"), E, raw(safety=3, runtime=4, share=0.1))
+        require_ready("a", "ur5e", Facts(remote="false"), E, raw(safety=3, runtime=4, share=0.1))
     reasons = ("protective", "slider", "local", "paused")
     assert all(word in caught.value.message for word in reasons)
 
 
 def test_an_arm_that_may_be_moved_is_not_refused():
-    require_ready("a", "ur5e", Told(model="UR5", remote="true"), E, raw(runtime=1))
-    require_ready("a", "ur5", Told(), CB3, raw(safety=2, runtime=1))
+    require_ready("a", "ur5e", Facts(model="UR5", remote="true"), E, raw(runtime=1))
+    require_ready("a", "ur5", Facts(), CB3, raw(safety=2, runtime=1))
 
 
 def block(*rows):

@@ -13,7 +13,7 @@ import yaml
 from ur_mock import mock_ur
 
 from hil.recording.mcap_reader import read_topic
-from hil_drivers.ur.rows import TOPIC
+from hil_drivers.ur.state import TOPIC
 
 pytestmark = [pytest.mark.wire, pytest.mark.timeout(400)]
 

@@ -21,7 +21,7 @@ from hil.robot import Segment, Status
 from hil.testing.moves import begin, follow, hold, move, settle, standing_at
 from hil_drivers.ur.options import Options
 from hil_drivers.ur.robot import UrRobot
-from hil_drivers.ur.rows import TOPIC
+from hil_drivers.ur.state import TOPIC
 
 pytestmark = [pytest.mark.wire, pytest.mark.timeout(240)]
 

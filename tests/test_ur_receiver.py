@@ -15,9 +15,7 @@ from hypothesis import strategies as st
 from rtde_peer import Conversation, Peer
 
 from hil.core.errors import RobotConnectionError, RobotTimeout
-from hil_drivers.ur.cutting import Cutter
-from hil_drivers.ur.receiver import Receiver
-from hil_drivers.ur.rtde_wire import Layout
+from hil_drivers.ur.rtde import Cutter, Layout, Receiver
 
 NAMES = ("timestamp", "actual_q", "robot_mode", "flag")
 TYPES = ("DOUBLE", "VECTOR6D", "INT32", "UINT8")
@@ -159,11 +157,11 @@ def test_a_cb3_controller_gives_what_it_has_and_the_rest_is_missing():
 def test_an_e_series_controller_is_asked_for_everything_at_500_hz():
     with (
         Peer(peer.stream(1), version=peer.E_SERIES) as robot,
-        Receiver("127.0.0.1", port=robot.port, also=["output_int_register_0"]) as receiver,
+        Receiver("127.0.0.1", port=robot.port) as receiver,
     ):
         assert receiver.frequency_hz == 500.0
-        assert set(receiver.missing) == {"output_int_register_0"}
-        assert set(robot.talks[0].asked[0]) == {*peer.types_of_hil(), "output_int_register_0"}
+        assert not receiver.missing
+        assert set(robot.talks[0].asked[0]) == set(peer.types_of_hil())
 
 
 @wire
@@ -331,7 +329,7 @@ def test_a_slow_robot_is_a_time_out_and_its_age_grows():
 
 @wire
 def test_rows_nobody_takes_wait_in_order_and_too_many_are_an_error_not_a_loss(monkeypatch):
-    monkeypatch.setattr("hil_drivers.ur.stream.PATIENCE_S", 0.3)
+    monkeypatch.setattr("hil_drivers.ur.rtde.PATIENCE_S", 0.3)
 
     def script(talk: Conversation) -> None:
         talk.handshake()
@@ -352,7 +350,7 @@ def test_rows_nobody_takes_wait_in_order_and_too_many_are_an_error_not_a_loss(mo
 
 @wire
 def test_a_forgiving_queue_lets_go_of_the_oldest_rows_and_goes_on(monkeypatch):
-    monkeypatch.setattr("hil_drivers.ur.stream.PATIENCE_S", 0.05)
+    monkeypatch.setattr("hil_drivers.ur.rtde.PATIENCE_S", 0.05)
 
     def script(talk: Conversation) -> None:
         talk.handshake()

@@ -27,8 +27,8 @@ from hil.core.errors import RobotConnectionError, SpecError
 from hil.core.typing import StructArray
 from hil.importers.load import load_source
 from hil.robot import Listens, Status
-from hil_drivers.ur.receiver import Receiver
 from hil_drivers.ur.robot import UrRobot
+from hil_drivers.ur.rtde import Receiver
 
 pytestmark = [pytest.mark.wire, pytest.mark.timeout(180)]
 

@@ -8,16 +8,15 @@ import pytest
 from hil.core.errors import SpecError
 from hil.recording.mcap_writer import require_rows_of
 from hil.robot import Status, state_dtype
-from hil_drivers.ur.fields import FIELDS, names_for
-from hil_drivers.ur.rows import (
+from hil_drivers.ur.rtde import FIELDS, Layout, names_for
+from hil_drivers.ur.rtde import TYPES as WIRE_TYPES
+from hil_drivers.ur.state import (
     further_rows,
     further_topic,
     program_running,
     require_source,
     state_rows,
 )
-from hil_drivers.ur.rtde_wire import TYPES as WIRE_TYPES
-from hil_drivers.ur.rtde_wire import Layout
 
 TYPES = {field.name: field.type for field in FIELDS}
 MASKED_FAULT = Status.MASKED | Status.FAULT

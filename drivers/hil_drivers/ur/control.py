@@ -3,20 +3,29 @@
 Its commands return `False` without a word when the program does not run, in a protective stop and
 on time-outs; its stops return nothing at all; vectors of a wrong length shift what the controller
 reads. None of that leaves this file.
+
+Nor does it say that its connection is another one: it connects again by itself, and while it does,
+its set-points are lost with every answer `True`, and the stop of its program may be overwritten by
+the next set-point before the program sees it. `OwnLine` notices that by the sockets it opened.
 """
 
 from __future__ import annotations
 
+import contextlib
+import os
+import socket
+import stat
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from importlib import import_module
-from typing import Any
+from typing import Any, TypeAlias
 
 from hil.arms import Payload
 from hil.core import CommandRefused, PluginError, RobotConnectionError
-from hil_drivers.ur.own_line import OwnLine
+from hil_drivers.ur.rtde import RTDE_PORT
 
 LIBRARY = "rtde_control"
+
 IN_USE_WAITS_S = (0.5, 1.0, 2.0)
 """How long to wait before each further try while somebody else owns the inputs: a session that
 has crashed keeps them for a while [s]."""
@@ -172,19 +181,19 @@ def _opened(kind: Any, address: str, frequency_hz: float, flags: int) -> Any:
     raise AssertionError
 
 
+def _unreachable(address: str, said: str) -> RobotConnectionError:
+    hint = "is the address right, the arm switched on and, on an e-Series, in remote control?"
+    if "remote control" in said:
+        hint = "switch the arm to remote control at the teach pendant"
+    return RobotConnectionError(f"{address}: the controller cannot be commanded: {said}", hint=hint)
+
+
 def _owned(address: str, said: str) -> RobotConnectionError:
     return RobotConnectionError(
         f"{address}: somebody else owns the inputs that move the arm: {said}",
         hint="end the other program that drives it; switch EtherNet/IP, PROFINET and MODBUS off "
         "at the teach pendant; a session that has crashed lets go after a while",
     )
-
-
-def _unreachable(address: str, said: str) -> RobotConnectionError:
-    hint = "is the address right, the arm switched on and, on an e-Series, in remote control?"
-    if "remote control" in said:
-        hint = "switch the arm to remote control at the teach pendant"
-    return RobotConnectionError(f"{address}: the controller cannot be commanded: {said}", hint=hint)
 
 
 def _six(q: Sequence[float]) -> list[float]:
@@ -195,3 +204,54 @@ def _six(q: Sequence[float]) -> list[float]:
             hint="the plan is for another arm",
         )
     return numbers
+
+
+OPEN_FILES = "/proc/self/fd", "/dev/fd"
+
+Socket: TypeAlias = tuple[int, int, int]
+"""Descriptor, device, inode: a number may be given away again, all three together are not."""
+
+
+class OwnLine:
+    """The RTDE connections of this process that somebody opens while `opened` is entered."""
+
+    def __init__(self) -> None:
+        self._mine: frozenset[Socket] = frozenset()
+
+    @contextlib.contextmanager
+    def opened(self) -> Iterator[None]:
+        """What is inside opens them."""
+        before = _connections()
+        yield
+        self._mine = _connections() - before
+
+    @property
+    def kept(self) -> bool:
+        """Whether all of them are still open, the very same ones; costs a microsecond."""
+        return all(_is_open(each) for each in self._mine)
+
+
+def _connections() -> frozenset[Socket]:
+    folder = next(filter(os.path.isdir, OPEN_FILES), None)
+    numbers = [int(name) for name in os.listdir(folder)] if folder else []
+    return frozenset(filter(None, map(_rtde, numbers)))
+
+
+def _rtde(number: int) -> Socket | None:
+    """The socket behind a descriptor, if it leads to an RTDE server."""
+    with contextlib.suppress(OSError):
+        about = os.fstat(number)
+        if stat.S_ISSOCK(about.st_mode):
+            with socket.socket(fileno=os.dup(number)) as line:
+                peer = line.getpeername()
+            if isinstance(peer, tuple) and peer[1] == RTDE_PORT:
+                return number, about.st_dev, about.st_ino
+    return None
+
+
+def _is_open(each: Socket) -> bool:
+    try:
+        now = os.fstat(each[0])
+    except OSError:
+        return False
+    return (now.st_dev, now.st_ino) == each[1:]

@@ -1,14 +1,20 @@
-"""The dashboard server of a UR controller: one line asked, one line answered (port 29999)."""
+"""The text interfaces of a UR controller: its dashboard server, and the port that takes programs.
+
+A dashboard line asked is a line answered (port 29999). `stop_directly` stops an arm without the
+library that moves it: a program that stops, sent to port 30003, replaces whatever program runs.
+It works from any thread and takes no lock.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import time
 from types import TracebackType
 
-from hil.core import RobotConnectionError
+from hil.core import RobotConnectionError, RobotFault
 
-PORT = 29999
+DASHBOARD_PORT = 29999
 ANSWER_S = 2.0
 LONGEST_LINE = 4096
 NOT_UNDERSTOOD = "could not understand"
@@ -26,10 +32,10 @@ class Dashboard:
     """
 
     def __init__(self, address: str, within_s: float = ANSWER_S) -> None:
-        self._peer, self._within_s = f"{address}:{PORT}", within_s
+        self._peer, self._within_s = f"{address}:{DASHBOARD_PORT}", within_s
         self._waiting = b""
         try:
-            self._line = socket.create_connection((address, PORT), within_s)
+            self._line = socket.create_connection((address, DASHBOARD_PORT), within_s)
         except OSError as error:
             raise self._problem(f"cannot be reached: {error}") from error
         try:
@@ -81,4 +87,84 @@ class Dashboard:
             f"the dashboard server at {self._peer} {what}",
             hint="is the controller on, the address right, and the dashboard server not disabled "
             "in its security settings?",
+        )
+
+
+SCRIPT_PORT = 30003
+
+STOP_S = 0.05
+"""For both ports together; a host that does not answer is not waited for any longer [s]."""
+
+END_S = 1.0
+"""How long the dashboard may take for an answer, where one is waited for [s]."""
+
+FLUSH_S = 0.01
+"""How long the controller is given to take a program before the line is closed [s]."""
+
+
+def stop_directly(address: str, deceleration: float, within_s: float = STOP_S) -> bool:
+    """Tell the controller to come to rest; from any thread, without a lock.
+
+    Args:
+        address: Of the controller.
+        deceleration: Of the leading joint [rad/s²].
+        within_s: Wall time this may take.
+
+    Returns:
+        Whether at least one of the two ways could be told.
+    """
+    until = time.monotonic() + within_s
+    program = f"def hil_stop():\n  stopj({deceleration:.3f})\nend\n".encode()
+    told = _tell(address, SCRIPT_PORT, program, until)
+    # What the dashboard does would cut the ramp short that was just asked for: only where it could
+    # not be asked for. In local control both take connections and ignore what they are told; an
+    # arm that does not come to rest tells, and whoever watches it then calls `stop_program`.
+    return told or stop_program(address, until)
+
+
+def _tell(address: str, port: int, text: bytes, until: float) -> bool:
+    left = until - time.monotonic()
+    with (
+        contextlib.suppress(OSError),
+        socket.create_connection((address, port), max(left, 0.005)) as line,
+    ):
+        line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        line.sendall(text)
+        _listen_briefly(line, until)
+        return True
+    return False
+
+
+def _listen_briefly(line: socket.socket, until: float) -> None:
+    """Closing with unread bytes resets a line, which may overtake what was just sent on it."""
+    until = min(until, time.monotonic() + FLUSH_S)
+    with contextlib.suppress(OSError):
+        while (left := until - time.monotonic()) > 0:
+            line.settimeout(left)
+            if not line.recv(4096):
+                return
+
+
+def stop_program(address: str, until: float | None = None) -> bool:
+    """Tell the dashboard to stop whatever program there is; the controller brakes the arm."""
+    until = time.monotonic() + STOP_S if until is None else until
+    return _tell(address, DASHBOARD_PORT, b"stop\n", until)
+
+
+def end_program(address: str) -> None:
+    """End whatever program there is, also a paused one, and hear that it has ended.
+
+    Raises:
+        RobotFault: The controller does not do that.
+        RobotConnectionError: It does not answer.
+    """
+    with Dashboard(address, END_S) as dashboard:
+        answer = dashboard.ask("stop")
+        if answer.lower().startswith("stopped"):
+            return
+        state = dashboard.ask("programState")
+    if not state.upper().startswith("STOPPED"):
+        raise RobotFault(
+            f"{address}: the robot program cannot be ended, it is {state}: {answer}",
+            hint="stop it at the teach pendant before a stop is unlocked: it would go on",
         )

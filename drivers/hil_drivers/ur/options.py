@@ -1,4 +1,4 @@
-"""What a station file may say about a UR arm, beside its name and model."""
+"""What a station file may say about a UR arm, and the facts and limits that follow from it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ from dataclasses import dataclass, fields
 from typing import Any, Literal
 
 from hil.arms import load_arm
-from hil.core import SpecError
+from hil.core import FloatArray, SpecError
+from hil.robot import Capabilities, EffortKind, Limits, Segment
+from hil_drivers import arm
 from hil_drivers.network import host_of
 from hil_drivers.option_checks import OptionChecks
 
@@ -38,8 +40,6 @@ CHOICES = {
 
 MOST_SPEED, MOST_ACCELERATION = 3.14, 40.0
 """What `ur-rtde` lets through to the controller [rad/s, rad/s²]."""
-
-_CHECKS = OptionChecks("ur")
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +80,9 @@ class Options:
     def resource(self) -> str:
         """Which arm this is, whatever a station calls it."""
         return f"ur://{self.address}"
+
+
+_CHECKS = OptionChecks("ur")
 
 
 def options_of(given: Mapping[str, Any], model: str) -> Options:
@@ -142,4 +145,36 @@ def _require_ramp(options: Options, model: str) -> None:
             f"a stop out of {fastest:.2f} rad/s with {options.stop_rad_s2:g} rad/s² takes "
             f"{ramp_s:.2f} s, in which nobody can feed the watchdog: at most {1 / ramp_s:.2f} Hz, "
             "or a larger stop_rad_s2, or a smaller speed_share",
+        )
+
+
+def capabilities_of(model: str, options: Options) -> Capabilities:
+    """Return names, rate and the meaning of `effort`."""
+    effort: EffortKind = "current" if options.torque_source == "current" else "torque"
+    return arm.capabilities_of(model, options.frequency_hz, effort)
+
+
+def limits_of(model: str, options: Options, reported: arm.ReportedLimits | None = None) -> Limits:
+    """Return the maker's limits, narrowed by the controller's own once they are known."""
+    return arm.limits_of(model, reported, options.speed_share)
+
+
+def require_playable(segment: Segment, limits: Limits, standing: FloatArray) -> None:
+    """Raise if the arm cannot execute a segment, or `ur-rtde` would not let it through.
+
+    Args:
+        segment: The next one.
+        limits: Of the arm.
+        standing: (6,) the set-point it holds [rad].
+
+    Raises:
+        CommandRefused: See `hil_drivers.arm.require_executable`.
+    """
+    arm.require_executable(segment, limits, standing)
+    where = f"segment {segment.index} ({segment.kind})"
+    if not 0 <= segment.speed <= MOST_SPEED * arm.SPEED_SLACK:
+        raise arm.refused(f"{where} asks for {segment.speed:.3f} rad/s, at most {MOST_SPEED} go")
+    if not 0 <= segment.acceleration <= MOST_ACCELERATION:
+        raise arm.refused(
+            f"{where} asks for {segment.acceleration:.1f} rad/s², at most {MOST_ACCELERATION} go"
         )

@@ -1,4 +1,14 @@
-"""A UR arm as `hil` drives it: samples by a reader of our own, motion by `ur-rtde` next door."""
+"""A UR arm as `hil` drives it: rows by a reader of our own, motion by `ur-rtde` in its own process.
+
+The constructor of `ur-rtde` can hold the interpreter for ever, and the library connects again by
+itself; so it lives in a process that may be killed (`motion`). This process reads every row of the
+controller (`controller`, `rtde`), so recordings have no gaps whatever the other one does.
+
+`UrRobot` puts the two together. `Watch` knows how the arm stands: from what it was told to do, the
+controller's rows, and what the process that moves it says. It decides when a motion is over, what
+is a fault, and whether a stop had its effect. `Standing` notes when each segment began and ended,
+by device time, and stamps rows with that.
+"""
 
 from __future__ import annotations
 
@@ -16,25 +26,43 @@ from hil.core import (
     RobotConnectionError,
     RobotFault,
     RobotTimeout,
+    StaleState,
     StructArray,
 )
-from hil.robot import Address, Capabilities, Finding, Identity, Limits, Segment, Topic, is_loopback
+from hil.robot import (
+    Address,
+    Capabilities,
+    Finding,
+    Identity,
+    Limits,
+    Segment,
+    Status,
+    Topic,
+    is_loopback,
+)
 from hil_drivers.arm import faulty, not_connected, nothing_prepared, require_liftable
-from hil_drivers.ur.controller import KEPT_S, READ_BACK_S, Controller
-from hil_drivers.ur.direct_stop import stop_directly, stop_program
-from hil_drivers.ur.facts import capabilities_of, require_playable
-from hil_drivers.ur.faults import slider_of
-from hil_drivers.ur.findings import Looked, findings_of
+from hil_drivers.ur.controller import KEPT_S, READ_BACK_S, Controller, reached
+from hil_drivers.ur.dashboard import stop_directly, stop_program
 from hil_drivers.ur.motion import MotionProcess
-from hil_drivers.ur.options import options_of
-from hil_drivers.ur.reach import reached
-from hil_drivers.ur.rows import TOPIC, further_rows, further_topic, program_running, state_rows
-from hil_drivers.ur.session import told_by_dashboard
-from hil_drivers.ur.watch import Watch
+from hil_drivers.ur.options import Options, capabilities_of, options_of, require_playable
+from hil_drivers.ur.state import (
+    PAUSED,
+    PAUSING,
+    TOPIC,
+    complaints,
+    first_fault,
+    further_rows,
+    further_topic,
+    program_running,
+    program_state,
+    slider_of,
+    state_rows,
+    still,
+)
 
 
 class UrRobot:
-    """Implements `hil.robot.Robot` for arms of Universal Robots.
+    """A robot (`hil.robot.Robot`) for arms of Universal Robots.
 
     Args:
         name: The robot's name in its station.
@@ -104,15 +132,7 @@ class UrRobot:
     def checks(self) -> Sequence[Finding]:
         """See `hil.robot.HasChecks`."""
         self._require_health()
-        looked = Looked(
-            self._model,
-            self._options,
-            self._controller,
-            told_by_dashboard(self._controller.host),
-            self._declared,
-            self._motion.alive,
-        )
-        return list(findings_of(looked))
+        return list(self._controller.findings(self._declared, moved_by_us=self._motion.alive))
 
     def reach(self) -> Sequence[Finding]:
         """See `hil.robot.HasReach`."""
@@ -285,19 +305,19 @@ class UrRobot:
             self._let_go()
 
     def _look(self, raw: StructArray) -> None:
-        """Find out how the motion stands; what is wrong is told by the next read."""
-        told, error = None, None
+        """Find out how the motion stands; the next read raises what is wrong."""
+        progress, error = None, None
         try:
-            told = None if self._watch.severed else self._motion.look()[0]
+            progress = None if self._watch.severed else self._motion.look()[0]
         except HilError as caught:
             error = caught
-        ended = self._watch.look(raw, told, error, left=self._motion.left)
+        ended = self._watch.look(raw, progress, error, left=self._motion.left)
         if self._watch.stop_has_failed(raw):
             self._watch.severed = True
             try:
                 self._stop_directly()
             except RobotConnectionError as caught:
-                self._watch.found(caught)
+                self._watch.note(caught)
             stop_program(self._controller.host)
         if self._watch.halted and not self._watch.moving:
             self._controller.receiver.keep(KEPT_S)
@@ -334,3 +354,183 @@ class UrRobot:
         self._prepared = self._newest = None
         self._motion.close()
         self._controller.close()
+
+
+RAMP_GRACE_S = 0.5
+"""How much longer than its ramp an arm may take to be seen standing still after a stop [s]."""
+
+EXPLAINED_S = 0.5
+"""How long it waits for rows that explain it when the process that moves the arm has stopped the
+arm and left: it sees them by a connection of its own [s]."""
+
+OURS_FOR_S = 3.0
+"""How long after the end of our program a fault is still ours to deal with [s]; whoever stands at
+the pendant may start another one then."""
+
+
+class Watch:
+    """Knows how the arm stands, from when it was connected to the first fault.
+
+    Args:
+        options: Of the arm.
+
+    Attributes:
+        faulty: Whether it does not obey any more: it has to be connected again.
+        halted: Whether the arm was stopped since the newest segment began.
+        replaced: Whether our program was ended by ourselves, and is not to be missed.
+        severed: Whether the process that moves the arm was passed over when the arm was stopped:
+            its program is gone without its doing, and it ends.
+        gone_at: Device time at which our program was seen to have ended; None while it was not [s].
+        problem: What was found wrong; the next read raises it, once.
+    """
+
+    def __init__(self, options: Options) -> None:
+        self._options = options
+        self._standing = Standing()
+        self._stopped_by: float | None = None
+        self._left: tuple[float, HilError] | None = None
+        self.faulty = self.halted = self.replaced = self.severed = False
+        self.gone_at: float | None = None
+        self.problem: HilError | None = None
+
+    @property
+    def moving(self) -> bool:
+        """Whether the newest segment's motion has not been seen to end."""
+        return self._standing.moving
+
+    def begun(self, index: int, at: float, *, moves: bool) -> None:
+        """A segment begins after that device time [s]."""
+        self._standing.begin(index, at, moves=moves)
+        self.halted = False
+        if moves:
+            self._stopped_by = None
+
+    def stopping(self, row: Any) -> None:
+        """The arm is told to stop, this being its newest raw row; None when there is none."""
+        self.halted = True
+        if row is not None:
+            speed = float(np.abs(row["target_qd"]).max())
+            ramp_s = speed / self._options.stop_rad_s2 + RAMP_GRACE_S
+            self._stopped_by = float(row["timestamp"]) + ramp_s
+
+    def look(
+        self,
+        raw: StructArray,
+        progress: np.void | None,
+        error: HilError | None,
+        *,
+        left: bool = False,
+    ) -> bool:
+        """Judge a block of raw rows, every one of them.
+
+        Args:
+            raw: (N,), N ≥ 1.
+            progress: How the motion stands, by the process that moves the arm.
+            error: What that process said instead.
+            left: Whether it has stopped the arm and ended by itself.
+
+        Returns:
+            Whether a motion has just been seen to end.
+        """
+        moved = self.moving
+        if moved and progress is not None and not int(progress["status"]) & Status.MOVING:
+            self._standing.end(float(progress["device_time"]))
+        ended = ~program_running(raw)
+        if self.gone_at is None and ended.any():
+            self.gone_at = float(raw["timestamp"][int(ended.argmax())])
+        if error is not None:
+            self._left = self._left or (float(raw["timestamp"][-1]), error)
+        # Who has stopped the arm for silence has ended the program, too: that explains nothing.
+        stale = self._left is not None and isinstance(self._left[1], StaleState)
+        fault = first_fault(raw, program=not (self.replaced or stale))
+        if fault is None and error is not None and self._left is not None:
+            since, error = self._left
+            waits = left and float(raw["timestamp"][-1]) - since < EXPLAINED_S
+            error = None if waits else error
+        self.note(fault or error)
+        if self.moving and self.halted and progress is None and still(raw[-1]):
+            # Who moved it is not there any more to say so. While it is, the arm may stand before
+            # the program has answered the stop, and nothing can be started before that.
+            self._standing.end(float(raw["timestamp"][-1]))
+        return moved and not self.moving
+
+    def note(self, problem: HilError | None) -> None:
+        """Note what is wrong; the first one explains."""
+        if problem is not None and not self.faulty:
+            self.problem, self.faulty, self.halted = problem, True, True
+
+    def must_not_go_on(self, row: Any) -> bool:
+        """Whether that raw row shows our program held by a stop that somebody may lift."""
+        if row is None or not self.faulty or self.gone_at is not None:
+            return False
+        # For some ticks after a protective stop the program may still be said to play.
+        held = int(program_state(row.reshape(1))[0]) in (PAUSING, PAUSED) or complaints(row)
+        return bool(held)
+
+    def is_for_others(self, row: Any) -> bool:
+        """Whether what moves the arm, if anything does, is not ours to stop any more.
+
+        Shortly after our program has ended it may be that `ur-rtde` has uploaded it again.
+        """
+        if row is None or not self.faulty or self.gone_at is None:
+            return False
+        return float(row["timestamp"]) - self.gone_at > OURS_FOR_S
+
+    def stop_has_failed(self, raw: StructArray) -> bool:
+        """Whether the arm still moved when it ought to have come to rest; said once.
+
+        What it does later is another's doing.
+        """
+        if self._stopped_by is None:
+            return False
+        after = raw[raw["timestamp"] >= self._stopped_by]
+        if not len(after):
+            return False
+        self._stopped_by = None
+        return not still(after[0])
+
+    def stamp(self, rows: StructArray) -> None:
+        """Fill in segment and status of state rows, in place."""
+        self._standing.stamp(rows)
+        if self.faulty:
+            rows["status"][-1] |= Status.FAULT
+
+
+class Standing:
+    """Knows what the arm was told to do when.
+
+    Segments follow each other: one ends where the next begins. A motion that nobody has seen end
+    yet is still going on.
+    """
+
+    def __init__(self) -> None:
+        # When it began, its index, when its motion was over (inf: not yet).
+        self._known: list[tuple[float, int, float]] = [(-np.inf, -1, -np.inf)]
+
+    @property
+    def moving(self) -> bool:
+        """Whether the newest segment's motion has not been seen to end."""
+        return self._known[-1][2] == np.inf
+
+    def begin(self, index: int, at: float, *, moves: bool) -> None:
+        """A segment begins with the first sample after a device time [s]."""
+        self.end(at)
+        self._known.append((at, index, np.inf if moves else at))
+
+    def end(self, at: float) -> None:
+        """The newest motion was over by that device time; nothing happens when none was on."""
+        begun, index, _ = self._known[-1]
+        if self.moving:
+            self._known[-1] = (begun, index, max(at, begun))
+
+    def stamp(self, rows: StructArray) -> None:
+        """Fill `segment` and the bits `MOVING` or `HOLDING` of `status`, in place."""
+        times = rows["device_time"]
+        moving = np.zeros(len(rows), dtype=bool)
+        for begun, index, over in self._known:
+            mine = times > begun
+            rows["segment"][mine] = index
+            moving = np.where(mine, times <= over, moving)
+        rows["status"] |= np.where(moving, Status.MOVING, Status.HOLDING).astype("<i4")
+        while len(self._known) > 1 and self._known[1][0] < times[0]:
+            self._known.pop(0)

@@ -1,4 +1,4 @@
-"""The joint limits a controller is configured with, as its primary interface tells them.
+"""The primary interface of a controller: the joint limits that it is configured with.
 
 Source: Universal Robots, "Primary and Secondary Interfaces": robot state (16), configuration data.
 Everything is big-endian. It was not compared with a physical arm whether a joint range narrowed in
@@ -18,7 +18,8 @@ from hil.core import RobotConnectionError
 from hil_drivers.arm import ReportedLimits
 
 PRIMARY_PORT = 30001
-WITHIN_S = 2.0
+
+PRIMARY_S = 2.0
 """How long connecting and the first robot state may take together; ten come a second [s]."""
 
 MOST_BYTES = 1 << 18
@@ -26,13 +27,11 @@ MOST_BYTES = 1 << 18
 
 LARGEST_PACKET = 1 << 16
 ROBOT_STATE, CONFIGURATION = 16, 6
-_PACKET, _PART = struct.Struct(">iB"), struct.Struct(">IB")
-_LIMITS = struct.Struct(">24d")
 N = 6
 
 
-def told_by_primary(
-    address: str, within_s: float = WITHIN_S, port: int = PRIMARY_PORT
+def reported_limits(
+    address: str, within_s: float = PRIMARY_S, port: int = PRIMARY_PORT
 ) -> ReportedLimits:
     """Ask a controller for its joint limits; commands nothing.
 
@@ -53,37 +52,6 @@ def told_by_primary(
         raise _problem(peer, f"cannot be asked: {error.strerror or error}") from error
 
 
-def limits_in(state: bytes) -> ReportedLimits | None:
-    """The joint limits in the content of one robot state, None when they are not in it.
-
-    Raises:
-        ValueError: It is no robot state, or no arm can have such limits.
-    """
-    at = 0
-    while at < len(state):
-        if len(state) - at < _PART.size:
-            raise ValueError("a part of a robot state is cut off")
-        size, kind = _PART.unpack_from(state, at)
-        if not _PART.size <= size <= len(state) - at:
-            raise ValueError(f"a part of a robot state says that it has {size} bytes")
-        if kind == CONFIGURATION:
-            return _limits_of(state[at + _PART.size : at + size])
-        at += size
-    return None
-
-
-def _limits_of(content: bytes) -> ReportedLimits:
-    if len(content) < _LIMITS.size:
-        raise ValueError(f"configuration data of {len(content)} bytes")
-    numbers = np.array(_LIMITS.unpack_from(content)).reshape(2, N, 2)
-    (q_min, q_max), (qd_max, qdd_max) = numbers.transpose(0, 2, 1)
-    told = ReportedLimits(q_min, q_max, qd_max, qdd_max)
-    sound = np.isfinite(numbers).all() and (q_min < q_max).all() and (numbers[1] > 0).all()
-    if not sound:
-        raise ValueError(f"joint limits that cannot be: {numbers.round(3).tolist()}")
-    return told
-
-
 def _first_limits(line: socket.socket, until: float, peer: str) -> ReportedLimits:
     for kind, content in _packets(line, until, peer):
         if kind != ROBOT_STATE:
@@ -95,6 +63,9 @@ def _first_limits(line: socket.socket, until: float, peer: str) -> ReportedLimit
         if told is not None:
             return told
     raise _problem(peer, "has not told its joint limits in time")
+
+
+_PACKET, _PART = struct.Struct(">iB"), struct.Struct(">IB")
 
 
 def _packets(line: socket.socket, until: float, peer: str) -> Iterator[tuple[int, bytes]]:
@@ -124,3 +95,37 @@ def _problem(peer: str, what: str) -> RobotConnectionError:
         f"the primary interface at {peer} {what}",
         hint="see whether port 30001 is open in the controller's security settings",
     )
+
+
+def limits_in(state: bytes) -> ReportedLimits | None:
+    """The joint limits in the content of one robot state, None when they are not in it.
+
+    Raises:
+        ValueError: It is no robot state, or no arm can have such limits.
+    """
+    at = 0
+    while at < len(state):
+        if len(state) - at < _PART.size:
+            raise ValueError("a part of a robot state is cut off")
+        size, kind = _PART.unpack_from(state, at)
+        if not _PART.size <= size <= len(state) - at:
+            raise ValueError(f"a part of a robot state says that it has {size} bytes")
+        if kind == CONFIGURATION:
+            return _limits_of(state[at + _PART.size : at + size])
+        at += size
+    return None
+
+
+_LIMITS = struct.Struct(">24d")
+
+
+def _limits_of(content: bytes) -> ReportedLimits:
+    if len(content) < _LIMITS.size:
+        raise ValueError(f"configuration data of {len(content)} bytes")
+    numbers = np.array(_LIMITS.unpack_from(content)).reshape(2, N, 2)
+    (q_min, q_max), (qd_max, qdd_max) = numbers.transpose(0, 2, 1)
+    told = ReportedLimits(q_min, q_max, qd_max, qdd_max)
+    sound = np.isfinite(numbers).all() and (q_min < q_max).all() and (numbers[1] > 0).all()
+    if not sound:
+        raise ValueError(f"joint limits that cannot be: {numbers.round(3).tolist()}")
+    return told
