@@ -31,7 +31,7 @@ from hil.core.typing import StructArray
 from hil.recording import Attachment, McapWriter, Recorder, read_topic
 from hil.recording.recovery import recover
 from hil.recording.run_directory import RunDirectory
-from hil.robot.topic import STATE_TOPIC, state_topic
+from hil.robot.state import STATE_TOPIC, state_topic
 
 RATE_HZ = 500.0
 KILLS, QUICK_KILLS = 200, 10

@@ -13,7 +13,7 @@ import numpy as np
 
 from hil.core.typing import StructArray
 from hil.recording import McapWriter, read_topic
-from hil.robot.topic import STATE_TOPIC, Topic, state_topic
+from hil.robot.state import STATE_TOPIC, Topic, state_topic
 
 RATE_HZ = 500.0
 MESSAGES, QUICK_MESSAGES = 600_000, 30_000

@@ -26,7 +26,7 @@ from hil.core.errors import DataError
 from hil.core.typing import FloatArray, StructArray
 from hil.recording import Counts, McapWriter, Recorder, read_topic
 from hil.recording.recording_files import part_name, recordings_in
-from hil.robot.topic import STATE_TOPIC, state_topic
+from hil.robot.state import STATE_TOPIC, state_topic
 
 RATE_HZ = 500.0
 HOURS, QUICK_HOURS = 1.0, 0.05

@@ -68,7 +68,7 @@ class WithTopics(Kinematic):
 
     @property
     def topics(self) -> Sequence[Any]:
-        from hil.robot.topic import Topic  # takes longer than all the rest of this file
+        from hil.robot.state import Topic  # takes longer than all the rest of this file
 
         return (Topic("/raw", self.raw, 125.0, "virtual", {"device_time": "s"}),)
 

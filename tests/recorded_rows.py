@@ -9,7 +9,7 @@ import numpy as np
 
 from hil.core.typing import StructArray
 from hil.recording import McapWriter
-from hil.robot.topic import STATE_TOPIC, Topic, state_topic
+from hil.robot.state import STATE_TOPIC, Topic, state_topic
 
 EPOCH = 1.8e9
 JOINTS = [f"joint_{i}" for i in range(1, 7)]

@@ -18,7 +18,7 @@ from hil.excitation.motion import FourierSeries, Hold, Line
 from hil.planning.plan import LoadStep, Plan, Step
 from hil.recording import McapWriter, RunDirectory, collect_provenance
 from hil.robot import Status, state_dtype
-from hil.robot.topic import STATE_TOPIC, state_topic
+from hil.robot.state import STATE_TOPIC, state_topic
 
 RATE = 125.0
 NOISE = 0.02

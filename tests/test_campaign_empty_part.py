@@ -15,7 +15,7 @@ from hil.core.errors import DataError
 from hil.importers.load import load_source
 from hil.recording import McapWriter, RunDirectory, read_topic
 from hil.recording.recovery import recover
-from hil.robot.topic import state_topic
+from hil.robot.state import state_topic
 
 
 def with_empty_parts(run: RunDirectory, *parts: tuple[int, int], rate_hz: float = 125.0) -> None:

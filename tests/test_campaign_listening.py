@@ -25,8 +25,7 @@ from hil.recording.mcap_reader import read_topic
 from hil.recording.run_directory import RunDirectory
 from hil.report import render_report
 from hil.robot import Capabilities, Identity, Limits, Listens, Robot
-from hil.robot.state import Status
-from hil.robot.topic import Topic
+from hil.robot.state import Status, Topic
 from hil.workflow import listening
 from hil.workflow.listened import Wanted
 from hil.workflow.listening import listen

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hil.robot import Status, state_dtype
-from hil.robot.topic import Topic
+from hil.robot.state import Topic
 from hil_drivers.cia402.mapping import ALL_MODES, LATE, MAPPINGS, POSITION, STALLED, cycle_dtype
 from hil_drivers.cia402.profile import AxisProfile
 from hil_drivers.cia402.rows import TOPIC, StateRows, raw_rows, raw_topic, told

@@ -14,7 +14,7 @@ from hil.data.dwells import dwells_of
 from hil.data.splits import split
 from hil.importers.series import Origin, StepNote, assemble, cut
 from hil.robot import Status
-from hil.robot.topic import state_topic
+from hil.robot.state import state_topic
 
 STOP_S, SLIDE_RAD, DECELERATION = 0.4, 2e-4, 1.4
 REST_FROM, REST_UNTIL = 0.9, 1.0

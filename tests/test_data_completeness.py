@@ -21,8 +21,7 @@ from hil.importers.completeness import (
 )
 from hil.planning.plan import DwellRule, Plan, Step
 from hil.recording.mcap_writer import McapWriter
-from hil.robot.state import Status, state_dtype
-from hil.robot.topic import STATE_TOPIC, state_topic
+from hil.robot.state import STATE_TOPIC, Status, state_dtype, state_topic
 
 RATE = 125.0
 RULE = DwellRule(dwell_s=0.05, samples=4, settle_rad_s=0.002, timeout_s=0.3)

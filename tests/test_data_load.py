@@ -12,7 +12,7 @@ from hil.data.splits import groups
 from hil.importers.load import load_source, serial_of
 from hil.recording import Attachment, McapWriter, RunDirectory
 from hil.robot import Status
-from hil.robot.topic import STATE_TOPIC, state_topic
+from hil.robot.state import STATE_TOPIC, state_topic
 
 pytestmark = pytest.mark.quick
 

@@ -28,7 +28,7 @@ from hil.engine.live_view import FoxgloveLive, is_loopback
 from hil.recording.mcap_reader import read_topic
 from hil.recording.run_directory import RunDirectory
 from hil.robot import Capabilities, Status, state_dtype
-from hil.robot.topic import STATE_TOPIC
+from hil.robot.state import STATE_TOPIC
 
 pytestmark = pytest.mark.wire
 

@@ -17,7 +17,7 @@ from hil.planning.plan_preview import preview
 from hil.recording.mcap_writer import McapWriter
 from hil.report.plan_figure import plan_picture
 from hil.report.svg import Scale, thinned
-from hil.robot.topic import state_topic
+from hil.robot.state import state_topic
 
 pytestmark = pytest.mark.quick
 

@@ -20,7 +20,7 @@ from recorded_rows import rows_of, six_axis_topic
 from hil.core.errors import RecordingError
 from hil.recording import McapWriter, Recorder, read_topic
 from hil.recording.recording_files import recordings_in
-from hil.robot.topic import STATE_TOPIC
+from hil.robot.state import STATE_TOPIC
 
 CHILD = """
 import mmap, os, struct, sys, time

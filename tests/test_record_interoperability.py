@@ -17,7 +17,7 @@ from rosbags.highlevel import AnyReader
 
 from hil.core.typing import StructArray
 from hil.recording import Attachment, McapWriter
-from hil.robot.topic import STATE_TOPIC
+from hil.robot.state import STATE_TOPIC
 
 COUNT = 100
 EVENT = {"t": EPOCH + 0.25, "kind": "checkpoint", "step": 7}

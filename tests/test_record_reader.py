@@ -14,8 +14,7 @@ from recorded_rows import EPOCH, JOINTS, raw_topic, record_state, rows_of, six_a
 
 from hil.core.errors import DataError
 from hil.recording import Attachment, McapWriter, read_info, read_topic
-from hil.robot.cdr import CDR_HEADER
-from hil.robot.topic import STATE_TOPIC
+from hil.robot.state import CDR_HEADER, STATE_TOPIC
 
 pytestmark = pytest.mark.quick
 

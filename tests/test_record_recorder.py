@@ -16,7 +16,7 @@ from recorded_rows import JOINTS, raw_topic, rows_of, six_axis_topic
 from hil.core.errors import RecordingError
 from hil.core.typing import StructArray
 from hil.recording import McapWriter, Recorder, read_info, read_topic
-from hil.robot.topic import STATE_TOPIC, Topic
+from hil.robot.state import STATE_TOPIC, Topic
 
 pytestmark = pytest.mark.quick
 

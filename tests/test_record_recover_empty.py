@@ -14,7 +14,7 @@ from hil.core.errors import DataError
 from hil.recording import Attachment, McapWriter, RunDirectory, read_info, read_topic
 from hil.recording.mcap_records import ChunkSpan, scan
 from hil.recording.recovery import recover
-from hil.robot.topic import STATE_TOPIC
+from hil.robot.state import STATE_TOPIC
 
 TOPIC = six_axis_topic()
 SPEC = Attachment("spec.yaml", "application/yaml", b"hil: 1\n")

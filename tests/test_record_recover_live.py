@@ -18,7 +18,7 @@ from recorded_rows import rows_of, six_axis_topic
 from hil.core.errors import DataError, RecordingError
 from hil.recording import McapWriter, Recorder, RunDirectory, read_info, read_topic
 from hil.recording.recovery import recover, recover_file
-from hil.robot.topic import STATE_TOPIC
+from hil.robot.state import STATE_TOPIC
 
 TOPIC = six_axis_topic()
 ROWS = rows_of(TOPIC, 200)

@@ -22,7 +22,7 @@ from hil.core.typing import StructArray
 from hil.recording import Attachment, McapWriter, read_info, read_topic
 from hil.recording.mcap_records import scan
 from hil.recording.recovery import recover_file
-from hil.robot.cdr import CDR_HEADER
+from hil.robot.state import CDR_HEADER
 
 TOPIC = raw_topic()
 ROWS, ROWS_PER_CHUNK = 12, 3

@@ -21,7 +21,7 @@ from hil.core.typing import StructArray
 from hil.recording import Attachment, McapWriter, Recorder, read_info, read_topic
 from hil.recording.recorder import DiskThread
 from hil.recording.recording_files import part_name, recordings_in
-from hil.robot.topic import STATE_TOPIC
+from hil.robot.state import STATE_TOPIC
 
 TOPICS = [six_axis_topic(), raw_topic()]
 PLAN = Attachment("plan.json", "application/json", b"{}")

@@ -7,8 +7,7 @@ import pytest
 from recorded_rows import raw_topic, six_axis_topic
 
 from hil.core.errors import DataError, RecordingError
-from hil.robot.cdr import dtype_of_schema
-from hil.robot.topic import Topic, state_topic
+from hil.robot.state import Topic, dtype_of_schema, state_topic
 
 TIMES = [("device_time", "<f8"), ("host_time", "<f8")]
 

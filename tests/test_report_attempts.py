@@ -14,7 +14,7 @@ from hil.report import render_report
 from hil.report.decimate import decimated, in_parts
 from hil.report.facts import read_facts
 from hil.report.recording import read_recording
-from hil.robot.topic import STATE_TOPIC, state_topic
+from hil.robot.state import STATE_TOPIC, state_topic
 
 PAUSE_S = 100.0
 FIRST = 700

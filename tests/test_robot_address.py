@@ -10,8 +10,8 @@ from kinematic_robot import KinematicRobot
 
 from hil.core import plugins
 from hil.robot import Address, Capabilities, address_of, is_loopback
-from hil.robot.facts import facts_document, facts_from
-from hil.robot.process import RobotProcess
+from hil.robot.ipc import facts_document, facts_from
+from hil.robot.subprocess_robot import RobotProcess
 
 NODES = {"nodes": [1, 2, 3, 4, 5, 6]}
 

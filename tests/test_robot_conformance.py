@@ -16,7 +16,7 @@ from kinematic_robot import KinematicRobot
 from hil.core.errors import CommandRefused, RobotFault
 from hil.core.typing import StructArray
 from hil.robot import Capabilities, Limits, Robot, Segment, Status
-from hil.robot.process import RobotProcess
+from hil.robot.subprocess_robot import RobotProcess
 from hil.testing.bench import Bench
 from hil.testing.conformance import NotConforming, robot_conformance
 from hil.testing.robot_checks import BEFORE_AND_AFTER, BENCH, CONNECTED, FAULTY

@@ -30,7 +30,7 @@ from hil.core.errors import (
 )
 from hil.planning.robots import connected, open_robot, opened
 from hil.robot import HasChecks, HasResource, HasSpeedScaling, HasTopics, Robot
-from hil.robot.process import RobotProcess
+from hil.robot.subprocess_robot import RobotProcess
 from hil.spec.station import StationRobot
 from hil.testing.moves import move
 from hil.workflow.driver_check import check_driver
@@ -265,11 +265,11 @@ def test_a_process_made_by_fork_neither_keeps_nor_ends_the_driver(make: Make) ->
 
 
 def test_a_driver_that_is_refused_leaves_no_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    from hil.robot import driver_process
+    from hil.robot import subprocess_robot
 
     begun = []
-    spawn = driver_process.spawn
-    monkeypatch.setattr(driver_process, "spawn", lambda o: begun.append(spawn(o)) or begun[-1])
+    spawn = subprocess_robot.spawn
+    monkeypatch.setattr(subprocess_robot, "spawn", lambda o: begun.append(spawn(o)) or begun[-1])
     with pytest.raises(SpecError):
         RobotProcess("mock", "a", "ur5", {"sede": 1})
     assert [process.returncode for process in begun] == [0]
@@ -285,7 +285,7 @@ def test_the_environment_of_the_driver_is_the_one_hil_was_started_with(
 
 
 def test_a_drivers_process_starts_light() -> None:
-    code = "import sys, hil.robot.child; print(*sys.modules)"
+    code = "import sys, hil.robot.subprocess_server; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = {name.split(".")[0] for name in done.stdout.split()}
     assert loaded.isdisjoint({"mcap", "pydantic", "scipy", "pinocchio", "mujoco", "yaml", "typer"})

@@ -21,10 +21,9 @@ from process_drivers import events
 
 from hil.arms.payload import Payload
 from hil.core.errors import RobotConnectionError, RobotTimeout
-from hil.robot import Segment, Status, driver_process, process
-from hil.robot.driver_process import STOP_WITHIN_S
-from hil.robot.frames import pack
-from hil.robot.process import READ_GRACE_S, RobotProcess
+from hil.robot import Segment, Status, subprocess_robot
+from hil.robot.ipc import pack
+from hil.robot.subprocess_robot import READ_GRACE_S, STOP_WITHIN_S, RobotProcess
 
 pytestmark = pytest.mark.wire
 
@@ -98,9 +97,8 @@ def wait_for_end(pid: int, within_s: float = 5.0) -> None:
 def impatient(ours: tuple[int, ...]) -> subprocess.Popen[bytes]:
     """A driver's process as it is, but for the times it allows."""
     code = (
-        "import sys, hil.robot.child as child, hil.robot.hosted as hosted;"
-        "child.HELD_S = 0.6; child.REST_S = hosted.REST_S = 0.3; child.LAST_WORD_S = 0.3;"
-        "hosted.UNREAD_S = 0.4;"
+        "import sys, hil.robot.subprocess_server as child;"
+        "child.HELD_S = 0.6; child.REST_S = 0.3; child.LAST_WORD_S = 0.3; child.UNREAD_S = 0.4;"
         "child.main(sys.argv[1:])"
     )
     return subprocess.Popen(
@@ -116,7 +114,7 @@ def impatient(ours: tuple[int, ...]) -> subprocess.Popen[bytes]:
 PARENT = """
 import sys
 from test_robot_process_death import set_off
-from hil.robot.process import RobotProcess
+from hil.robot.subprocess_robot import RobotProcess
 robot = RobotProcess("process_drivers:WallArm", "bench", "ur5", {"journal": sys.argv[1]})
 robot.connect()
 set_off(robot)
@@ -236,7 +234,7 @@ def test_a_driver_whose_process_is_suspended_is_named_as_such(make: Make) -> Non
 def test_after_it_was_stopped_for_want_of_readers_a_robot_can_be_read_again(
     make: Make, monkeypatch: pytest.MonkeyPatch, journal: Path
 ) -> None:
-    monkeypatch.setattr(driver_process, "spawn", impatient)
+    monkeypatch.setattr(subprocess_robot, "spawn", impatient)
     robot = make()
     set_off(robot)
     wait_for(journal, "stop")
@@ -248,7 +246,7 @@ def test_after_it_was_stopped_for_want_of_readers_a_robot_can_be_read_again(
 def test_a_robot_at_rest_need_not_be_read(
     make: Make, monkeypatch: pytest.MonkeyPatch, journal: Path
 ) -> None:
-    monkeypatch.setattr(driver_process, "spawn", impatient)
+    monkeypatch.setattr(subprocess_robot, "spawn", impatient)
     robot = make()
     robot.read()
     time.sleep(1.0)
@@ -378,9 +376,9 @@ def test_stop_from_many_threads_at_once_is_answered_to_each(make: Make) -> None:
 def test_a_read_that_hangs_times_out_and_stop_still_works(
     make: Make, monkeypatch: pytest.MonkeyPatch, journal: Path
 ) -> None:
-    monkeypatch.setattr(process, "CLOSE_S", 0.3)
-    monkeypatch.setattr(driver_process, "TERMINATE_AFTER_S", 0.3)
-    monkeypatch.setattr(driver_process, "KILL_AFTER_S", 0.3)
+    monkeypatch.setattr(subprocess_robot, "CLOSE_S", 0.3)
+    monkeypatch.setattr(subprocess_robot, "TERMINATE_AFTER_S", 0.3)
+    monkeypatch.setattr(subprocess_robot, "KILL_AFTER_S", 0.3)
     robot = make(hang=["read"])
     asked = InTime()
     with pytest.raises(RobotTimeout, match="has not answered read"):
@@ -432,7 +430,7 @@ def test_a_driver_that_does_not_answer_a_stop_is_killed(
 def test_a_driver_that_hangs_when_hil_goes_ends_all_the_same(
     make: Make, monkeypatch: pytest.MonkeyPatch, how: dict[str, Any]
 ) -> None:
-    monkeypatch.setattr(driver_process, "spawn", impatient)
+    monkeypatch.setattr(subprocess_robot, "spawn", impatient)
     monkeypatch.setitem(READ_GRACE_S, "wall", 0.05)
     robot = make(**how)
     if "read" in str(how):

@@ -23,9 +23,19 @@ from hil.core.errors import (
     SpecError,
 )
 from hil.robot import state_dtype
-from hil.robot.documents import error_document, error_from, plain_options
-from hil.robot.frames import MAGIC, MOST_BODY, MOST_HEADER, PREFIX, pack, unpack
-from hil.robot.wire import EndOfLine, Line
+from hil.robot.ipc import (
+    MAGIC,
+    MOST_BODY,
+    MOST_HEADER,
+    PREFIX,
+    EndOfLine,
+    Line,
+    error_document,
+    error_from,
+    pack,
+    plain_options,
+    unpack,
+)
 
 
 @pytest.fixture

@@ -1,20 +1,22 @@
 """What a robot is to `hil`: ten members, blocks of samples, no knowledge of the engine.
 
-Decision record 0001 checks the protocol on paper against UR moveJ and servoJ, CiA 402 CSP,
-upload-and-play over ADS, a virtual clock, and drivers that live in a child process.
+`Robot` is what every driver implements. The protocols named `Has…`, `Listens`, `ReadsLogs` and
+`TorqueControlled` are opted into by having their members. Decision record 0001 checks the protocol
+on paper against UR moveJ and servoJ, CiA 402 CSP, upload-and-play over ADS, a virtual clock, and
+drivers that live in a child process.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import ipaddress
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal, Protocol, runtime_checkable
+from pathlib import Path
+from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
 
 from hil.arms import Payload
 from hil.core import FloatArray, StructArray
-
-if TYPE_CHECKING:
-    from hil.robot.topic import Topic
+from hil.robot.state import Topic
 
 EffortKind = Literal["current", "torque"]
 ClockKind = Literal["wall", "virtual"]
@@ -196,3 +198,164 @@ class Listens(Protocol):
     @property
     def program_running(self) -> bool:
         """Whether a program was running (or paused) in the newest row that `read` has given."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that was looked at.
+
+    Attributes:
+        name: Short and lower-case, such as `joint-limits`; a preflight calls it `robot-…`.
+        passed: False when the robot should not move.
+        message: One sentence with the figures in it.
+        measured, limit: What was found and what would have been fine, in SI units.
+        hint: What to do about a failure.
+    """
+
+    name: str
+    passed: bool
+    message: str
+    measured: float | str | None = None
+    limit: float | str | None = None
+    hint: str = ""
+
+
+@runtime_checkable
+class HasChecks(Protocol):
+    """What a robot also offers when its controller can be asked whether it may be moved.
+
+    A preflight asks after `connect` and after the first load was declared; what did not pass keeps
+    the robot from moving and cannot be waived.
+    """
+
+    def checks(self) -> Sequence[Finding]:
+        """Look, now; moves nothing. Raises `RobotError` when the controller cannot be asked."""
+
+
+@runtime_checkable
+class HasReach(Protocol):
+    """What a robot also offers when it can be asked from afar whether it is there.
+
+    `hil doctor --station` asks without `connect` and without the lease: nothing is taken that
+    another client may need, nothing moves, and every question has a limit of some seconds.
+    """
+
+    def reach(self) -> Sequence[Finding]:
+        """Ask, now; never raises because nobody answers."""
+
+
+UNKNOWN = "unknown"
+"""Text of the address of a real robot whose driver states none."""
+
+
+@dataclass(frozen=True, slots=True)
+class Address:
+    """Where the commands of a robot go.
+
+    Attributes:
+        text: For people, such as `192.168.0.5` or `socketcan can0`.
+        real: Whether something outside this computer may hear them: such a robot moves only after
+            a confirmation. False for mocks, loopback addresses and virtual buses.
+    """
+
+    text: str
+    real: bool = True
+
+
+@runtime_checkable
+class HasAddress(Protocol):
+    """What a robot also offers when it knows, before `connect`, where its commands go.
+
+    A robot in wall time without it counts as real.
+    """
+
+    @property
+    def address(self) -> Address:
+        """From the options alone: no name is resolved and nothing is connected."""
+
+
+def address_of(robot: Robot) -> Address:
+    """Return where the commands of a robot go; it need not be connected."""
+    if isinstance(robot, HasAddress):
+        return robot.address
+    if robot.capabilities.clock == "virtual":
+        return Address("this process", real=False)
+    return Address(robot.resource if isinstance(robot, HasResource) else UNKNOWN)
+
+
+def is_loopback(host: str) -> bool:
+    """Return whether a host is this computer by its very text: 127.0.0.0/8, ::1, localhost.
+
+    Other names may lead here, too, but who resolves them may change; they count as elsewhere.
+    """
+    if host.lower() == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return False
+
+
+class RecordedLog(Protocol):
+    """A log, opened."""
+
+    @property
+    def topics(self) -> Sequence[Topic]:
+        """The further topics that its blocks may hold rows of."""
+
+    def blocks(self) -> Iterator[tuple[StructArray, Mapping[str, StructArray]]]:
+        """State rows and rows of further topics, in order, as the driver gave them when it ran.
+
+        Raises:
+            DataError: The log is damaged, or was not written on this robot's bus.
+        """
+
+
+@runtime_checkable
+class ReadsLogs(Protocol):
+    """What a driver's class also offers when a log of its bus holds all that a recording holds."""
+
+    @classmethod
+    def read_log(
+        cls, log: Path, model: str, options: Mapping[str, Any], robot: Mapping[str, Any]
+    ) -> RecordedLog:
+        """Open a log; nothing is connected to.
+
+        Args:
+            log: The file.
+            model: The station's.
+            options: The station's, as for the driver itself.
+            robot: `start.json: robot` of the run that the log is of: who answered, and what the
+                drives had told about themselves.
+
+        Raises:
+            DataError: It cannot be read, or the run says too little about the robot.
+        """
+
+
+@runtime_checkable
+class TorqueControlled(Protocol):
+    """What a simulated robot also offers when its joints can be driven by torque and pushed.
+
+    For simulated arms alone: `hil` commands torque to no real robot, whatever that could do.
+    `hil try-out` uses it: `command_torque`, `push`, `read`, one sample after the other.
+
+    Attributes:
+        simulated: True on the class itself, and only where no arm can move. Methods of these
+            names are not enough: drivers of real arms may have them for reasons of their own.
+    """
+
+    simulated: ClassVar[bool]
+
+    def command_torque(self, torque: FloatArray | None) -> None:
+        """Drive the joints by torque (n,) [N·m] until told otherwise; None brakes and holds."""
+
+    def push(self, torque: FloatArray) -> None:
+        """Let an external joint torque (n,) [N·m] act from now on; zeros end it."""
+
+
+def is_simulated(driver: object) -> bool:
+    """Whether a robot, or its driver before it is opened, says that torque moves no real arm."""
+    return getattr(driver, "simulated", None) is True and all(
+        hasattr(driver, member) for member in ("command_torque", "push")
+    )

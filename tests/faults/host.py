@@ -141,7 +141,7 @@ def _clock_step(happened: Happened) -> None:
 
 def _driver_killed(happened: Happened) -> None:
     """The process that the robot's driver lives in ends without a word."""
-    (pid,) = (pid for pid in _children() if b"hil.robot.child" in _command_of(pid))
+    (pid,) = (pid for pid in _children() if b"hil.robot.subprocess_server" in _command_of(pid))
     happened()
     os.kill(pid, signal.SIGKILL)
 

@@ -20,7 +20,7 @@ from hil_drivers.cia402.scaling import Scaling
 
 
 class Replay:
-    """A log of the bus of one run; see `hil.robot.logs.RecordedLog`.
+    """A log of the bus of one run; see `hil.robot.protocol.RecordedLog`.
 
     Args:
         log: The file.

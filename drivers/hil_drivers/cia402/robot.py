@@ -62,7 +62,7 @@ class Cia402Robot(RobotProcess):
     def read_log(
         cls, log: Path, model: str, options: Mapping[str, Any], robot: Mapping[str, Any]
     ) -> RecordedLog:
-        """See `hil.robot.logs.ReadsLogs`."""
+        """See `hil.robot.protocol.ReadsLogs`."""
         return Replay(log, model, options, robot)
 
     def set_gravity(self, gravity_m_s2: tuple[float, float, float]) -> None:

@@ -1,0 +1,403 @@
+"""The process a driver lives in: `python -m hil.robot.subprocess_server CALLS STOP LOG`.
+
+Two lines lead to it. Calls come over the first and are answered one after the other (`serve`);
+stops come over the second, which has a thread of its own (`Guard`), so that no call that takes its
+time delays one. `HostedRobot` is the driver behind both. The end of either line, and SIGTERM, mean:
+stop the arm, follow it to rest, release it, end. A driver that holds the interpreter is ended by a
+timer in C, and its controller has to notice. The other side is `hil.robot.subprocess_robot`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import faulthandler
+import json
+import os
+import select
+import signal
+import socket
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from importlib.metadata import EntryPoint
+from typing import Any
+
+import numpy as np
+
+from hil.core import HilError, RobotConnectionError, RobotError, StructArray, plugins
+from hil.robot.ipc import (
+    EndOfLine,
+    Line,
+    Message,
+    error_document,
+    facts_document,
+    pack,
+    payload_from,
+    segment_from,
+)
+from hil.robot.protocol import HasChecks, HasSpeedScaling, HasTopics, Robot
+from hil.robot.state import Status
+
+_TERMINATED = 128 + signal.SIGTERM
+_BROKEN = 1
+
+
+def main(arguments: list[str]) -> None:
+    """Be a driver's process; never returns."""
+    calls_at, stops_at, log = (int(text) for text in arguments[:3])
+    for descriptor in (calls_at, stops_at, log):
+        # A process that the driver starts must not keep our lines open beyond our end.
+        os.set_inheritable(descriptor, False)
+    faulthandler.enable(all_threads=False)
+    terminated = _hear_signals()
+    calls, stops = Line(socket.socket(fileno=calls_at)), socket.socket(fileno=stops_at)
+    robot = HostedRobot()
+    guard = Guard(robot, stops, calls, terminated, log)
+    guard.start()
+    code = 0
+    try:
+        serve(calls, robot)
+    except EndOfLine:
+        code = _TERMINATED if guard.terminated else 0
+    except BaseException:
+        traceback.print_exc()
+        code = _BROKEN
+    try:
+        # The guard sees this and sets the time by which everything has an end.
+        with contextlib.suppress(OSError):
+            stops.shutdown(socket.SHUT_RDWR)
+        robot.let_go(gone=True)
+        robot.finish()
+    finally:
+        _end(code)
+
+
+def _hear_signals() -> int:
+    """Leave the terminal's signals to `hil`; returns what becomes readable at SIGTERM."""
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+    woken, wake = os.pipe()
+    os.set_blocking(wake, False)
+    signal.set_wakeup_fd(wake, warn_on_full_buffer=False)
+    signal.signal(signal.SIGTERM, lambda number, frame: None)
+    return woken
+
+
+def serve(calls: Line, robot: HostedRobot) -> None:
+    """Answer calls until the robot is closed; raises `RobotConnectionError` if the line ends."""
+    while not robot.closed:
+        said, rows = robot.answer(calls.receive())
+        try:
+            frame = pack(said, rows)
+        except (HilError, TypeError, ValueError) as error:
+            frame = pack({"id": said["id"], "error": error_document(error, "answering")})
+        calls.send(frame)
+
+
+def _end(code: int) -> None:
+    """Not by returning: threads of a vendor's library must not keep the process alive."""
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(Exception):
+            stream.flush()
+    os._exit(code)
+
+
+STOP_TOKEN_BYTES = 8
+"""A stop is a packet of so many bytes; its answer begins with them and may go on with an error."""
+
+MOST_LOG_BYTES = 1 << 18
+
+KEPT_LOG_BYTES = 1 << 13
+"""Of what the driver prints, so much is kept [bytes]; it must never wait for a reader."""
+
+LAST_WORD_S = 5.0
+"""Beyond the time to come to rest, after which the process ends whatever still hangs in it [s]."""
+
+HELD_S = 15.0
+"""A driver that holds the interpreter for so long is ended: its controller must notice [s]."""
+
+_TICK_S = 0.25
+
+REST_S = 5.0
+"""How long an arm that was let go is followed to its rest [s]."""
+
+
+class Guard(threading.Thread):
+    """Stops the arm: when asked, when the other side has gone, and when it is not read.
+
+    Args:
+        robot: What is to be stopped.
+        stops: The line stops come over.
+        calls: Cut when the other side has gone, so that the thread that answers calls ends.
+        woken: Becomes readable at a signal, even while a driver's C code runs.
+        log: Descriptor of what the driver prints; kept short.
+    """
+
+    def __init__(
+        self, robot: HostedRobot, stops: socket.socket, calls: Line, woken: int, log: int
+    ) -> None:
+        super().__init__(name="hil-guard", daemon=True)
+        self._robot, self._stops, self._calls = robot, stops, calls
+        self._woken, self._log = woken, log
+        self.terminated = False
+
+    def run(self) -> None:
+        """Watch until the robot has to be let go."""
+        poll = select.poll()
+        poll.register(self._stops, select.POLLIN)
+        poll.register(self._woken, select.POLLIN)
+        while True:
+            # By a timer in C: it works although the interpreter is held.
+            faulthandler.dump_traceback_later(HELD_S, exit=True)
+            ready = [descriptor for descriptor, _ in poll.poll(_TICK_S * 1000)]
+            if self._woken in ready and signal.SIGTERM in os.read(self._woken, 64):
+                self.terminated = True
+                return self._let_go(gone=False)
+            if self._stops.fileno() in ready and not self._answer():
+                return self._let_go(gone=True)
+            self._robot.stop_if_unread()
+            with contextlib.suppress(OSError):
+                _keep_short(self._log)
+
+    def _answer(self) -> bool:
+        """Stop and say so; return False if the other side has gone."""
+        try:
+            token = self._stops.recv(STOP_TOKEN_BYTES)
+            if token:
+                self._stops.sendall(token + self._stop())
+        except OSError:
+            return False
+        return bool(token)
+
+    def _stop(self) -> bytes:
+        try:
+            self._robot.stop()
+        except Exception as error:
+            return json.dumps(error_document(error, "stop")).encode()
+        return b""
+
+    def _let_go(self, *, gone: bool) -> None:
+        faulthandler.dump_traceback_later(REST_S + LAST_WORD_S, exit=True)
+        self._robot.let_go(gone=gone)
+        self._calls.cut()
+
+
+def _keep_short(log: int) -> None:
+    size = os.fstat(log).st_size
+    if size > MOST_LOG_BYTES:
+        end = os.pread(log, KEPT_LOG_BYTES, size - KEPT_LOG_BYTES)
+        os.ftruncate(log, 0)
+        os.write(log, end)
+
+
+UNREAD_S = 2.0
+"""An arm that moves and is not read for this long is stopped: `hil` was suspended, or hangs [s]."""
+
+_REST_RAD_S = 0.01
+
+
+class HostedRobot:
+    """One driver and what its process knows about it.
+
+    The thread that answers calls and the one that stops the arm share it: every member of the
+    driver but `stop` is called by the first alone.
+    """
+
+    def __init__(self) -> None:
+        self._robot: Robot | None = None
+        self._wall = True
+        self._moving = False
+        self._busy = False
+        self._last_asked = time.monotonic()
+        self._complaint = ""
+        self._closed = False
+        self._letting_go = threading.Lock()
+        self._let_go = False
+        self._members: dict[str, Callable[..., Message]] = {
+            "open": self._open,
+            "connect": self._connect,
+            "set_payload": self._set_payload,
+            "prepare": self._prepare,
+            "start": self._start,
+            "read": self._read,
+            "drain": self._drain,
+            "checks": self._checks,
+            "close": self._close,
+        }
+
+    def answer(self, question: Message) -> Message:
+        """Do what is asked; whatever goes wrong is an answer too."""
+        asked, arrays = question
+        doing = str(asked.get("call"))
+        self._busy = True
+        try:
+            if self._let_go:
+                raise RobotConnectionError("the driver's process is about to end")
+            if doing not in self._members:
+                raise RobotError(f"a driver's process is asked to {doing!r}, which it cannot")
+            said, rows = self._members[doing](asked.get("with", {}), arrays)
+        # A vendor's library that calls sys.exit must not end the process that can stop the arm.
+        except (Exception, SystemExit) as error:
+            said, rows = {"error": error_document(error, doing)}, []
+        finally:
+            self._last_asked = time.monotonic()
+            self._busy = False
+        return {"id": asked.get("id"), **said}, rows
+
+    @property
+    def closed(self) -> bool:
+        """Whether the robot was closed by a call: nothing is left to be done then."""
+        return self._closed
+
+    def stop(self) -> None:
+        """Stop the arm; from any thread. Does nothing before there is a driver."""
+        if self._robot is not None:
+            self._robot.stop()
+
+    def stop_if_unread(self) -> None:
+        """Stop an arm that moves in wall time and is not read; the next call says so."""
+        unread = time.monotonic() - self._last_asked
+        if self._busy or not (self._moving and self._wall) or unread < UNREAD_S:
+            return
+        self._moving = False
+        self._complaint = (
+            f"the arm moved and was not read for {unread:.1f} s: its driver stopped it"
+        )
+        _attempt(self.stop)
+
+    def let_go(self, *, gone: bool) -> None:
+        """Stop the arm because it is not commanded any more; once, from any thread.
+
+        Args:
+            gone: The other side has vanished, which a mock robot wants to know.
+        """
+        with self._letting_go:
+            if self._let_go or self._closed:
+                return
+            self._let_go = True
+            if gone:
+                _attempt(getattr(self._robot, "client_gone", None))
+            _attempt(self.stop)
+
+    def finish(self) -> None:
+        """Follow an arm that was let go to its rest, then release it."""
+        if self._robot is None or self._closed:
+            return
+        # Again: a call that was on its way when the other side went may have started a motion.
+        _attempt(self.stop)
+        _attempt(self._come_to_rest)
+        _attempt(self._robot.close)
+
+    def _come_to_rest(self) -> None:
+        until = time.monotonic() + REST_S
+        while time.monotonic() < until:
+            row = self._opened().read()[-1]
+            if not row["status"] & Status.MOVING and (np.abs(row["qd"]) < _REST_RAD_S).all():
+                return
+
+    def _open(self, how: dict[str, Any], arrays: Sequence[StructArray]) -> Message:
+        self._robot = open_driver(how)
+        return facts_document(self._robot, connected=False), []
+
+    def _connect(self, how: dict[str, Any], arrays: Sequence[StructArray]) -> Message:
+        robot = self._opened()
+        robot.connect()
+        self._wall = robot.capabilities.clock == "wall"
+        return facts_document(robot, connected=True), []
+
+    def _set_payload(self, how: dict[str, Any], arrays: Sequence[StructArray]) -> Message:
+        return {"payload": asdict(self._opened().set_payload(payload_from(how)))}, []
+
+    def _prepare(self, how: dict[str, Any], arrays: Sequence[StructArray]) -> Message:
+        self._complain()
+        self._opened().prepare(segment_from(how, arrays))
+        return {}, []
+
+    def _start(self, how: dict[str, Any], arrays: Sequence[StructArray]) -> Message:
+        self._complain()
+        before, self._moving = self._moving, True
+        try:
+            self._opened().start()
+        except BaseException:
+            self._moving = before
+            raise
+        return {}, []
+
+    def _read(self, how: dict[str, Any], arrays: Sequence[StructArray]) -> Message:
+        self._complain()
+        robot = self._opened()
+        rows = robot.read(how["timeout_s"])
+        self._moving = bool(rows[-1]["status"] & Status.MOVING)
+        more = {"speed_scaling": robot.speed_scaling} if isinstance(robot, HasSpeedScaling) else {}
+        return more, [rows]
+
+    def _drain(self, how: dict[str, Any], arrays: Sequence[StructArray]) -> Message:
+        robot = self._opened()
+        fresh = robot.drain() if isinstance(robot, HasTopics) else {}
+        return {"topics": list(fresh)}, list(fresh.values())
+
+    def _checks(self, how: dict[str, Any], arrays: Sequence[StructArray]) -> Message:
+        robot = self._opened()
+        findings = robot.checks() if isinstance(robot, HasChecks) else ()
+        return {"findings": [asdict(finding) for finding in findings]}, []
+
+    def _close(self, how: dict[str, Any], arrays: Sequence[StructArray]) -> Message:
+        try:
+            self._opened().close()
+        finally:
+            # Before the answer: after it, the end of the line is expected.
+            self._closed = True
+        return {}, []
+
+    def _opened(self) -> Robot:
+        if self._robot is None:
+            raise RobotConnectionError("the driver was not opened")
+        return self._robot
+
+    def _complain(self) -> None:
+        complaint, self._complaint = self._complaint, ""
+        if complaint:
+            raise RobotConnectionError(
+                complaint, hint="was hil suspended? let it run, and resume the run"
+            )
+
+
+def _attempt(member: Callable[[], object] | None) -> None:
+    """Call something that must not keep what comes after it from being done."""
+    try:
+        if member is not None:
+            member()
+    except Exception:
+        traceback.print_exc()
+
+
+_GROUP = "hil.drivers"
+
+
+def open_driver(how: Mapping[str, Any]) -> Robot:
+    """The driver, not connected.
+
+    Args:
+        how: `driver` (name or `module:Class`), `name`, `model`, `options`; `gravity` for those
+            who simulate, or None; `pythonpath` that `hil` was started with, or None.
+
+    Raises:
+        PluginError, SpecError, TypeError, ValueError: What `hil.planning.robots.open_robot` says.
+    """
+    # Programs that the driver starts get the environment that `hil` was started with.
+    os.environ.pop("PYTHONPATH", None)
+    if how["pythonpath"] is not None:
+        os.environ["PYTHONPATH"] = how["pythonpath"]
+    target = how["driver"]
+    point = EntryPoint(target, target, _GROUP) if ":" in target else plugins.find(_GROUP, target)
+    robot: Robot = plugins.load_point(point)(how["name"], how["model"], **how["options"])
+    if how["gravity"] is not None and hasattr(robot, "set_gravity"):
+        robot.set_gravity(tuple(how["gravity"]))
+    return robot
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
