@@ -19,7 +19,7 @@ from hil.dynamics import load_model
 from hil.estimators.base import needs_of
 from hil.estimators.checks import Needs
 from hil.estimators.rigid_linear import RigidLinear
-from hil.estimators.static import StaticWls
+from hil.estimators.static_model import StaticWls
 from hil.planning.commissioning import Commissioning
 from hil.planning.experiment import load as load_experiment
 from hil.workflow.arm_check import require_within_reach

@@ -17,7 +17,7 @@ from hil.core import plugins
 from hil.core.errors import CheckpointRefused, DataError, Stopped
 from hil.engine import Observers, Outcome
 from hil.engine.signals import SignalWatch, StopSignal
-from hil.estimators.static import StaticWls
+from hil.estimators.static_model import StaticWls
 from hil.networks.training import KeptIfPossible, Told
 from hil.recording.run_directory import RunDirectory
 from hil.spec.experiment import Fit

@@ -12,7 +12,7 @@ from report_runs import dwell_plan, write_run
 
 from hil.core import plugins
 from hil.core.errors import DataError, FitError
-from hil.estimators.static import StaticWls
+from hil.estimators.static_model import StaticWls
 from hil.evaluation.run_verdict import verdict_word
 from hil.recording.run_directory import RunDirectory
 from hil.report import render_report

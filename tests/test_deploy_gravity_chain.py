@@ -9,7 +9,7 @@ from synthetic_motion import LOAD, dwelling, nominal, plant
 from hil.control.gravity_chain import GravityChain
 from hil.dynamics import RobotModel
 from hil.estimators.standstill import gravity_torque
-from hil.estimators.static import StaticWls
+from hil.estimators.static_model import StaticWls
 
 POSES = np.random.default_rng(8).uniform(-3.0, 3.0, (20, 6))
 

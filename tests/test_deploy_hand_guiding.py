@@ -10,7 +10,7 @@ from hil.control.hand_guiding import HandGuiding
 from hil.core.errors import DataError, FitError, SpecError
 from hil.estimators.rigid_hysteresis import RigidHysteresis
 from hil.estimators.rigid_linear import RigidWls
-from hil.estimators.static import StaticWls
+from hil.estimators.static_model import StaticWls
 
 Q = np.array([0.3, -1.2, 0.9, -0.4, 0.7, 0.2])
 STILL = np.zeros(6)

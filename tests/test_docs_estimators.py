@@ -15,7 +15,7 @@ from hil.data.filters import FilterSettings
 from hil.data.parts import BY_SAMPLE
 from hil.estimators import estimator
 from hil.estimators.base import GROUP, HONEST
-from hil.estimators.static import PAPER_PROTOCOL
+from hil.estimators.static_model import PAPER_PROTOCOL
 from hil.networks.lagrangian_settings import LAGRANGIAN_CHOICES as OURS_LAGRANGIAN
 from hil.networks.residual_data import TRAINING, ResidualSettings
 

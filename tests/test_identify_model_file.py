@@ -10,7 +10,7 @@ from synthetic_motion import LOAD, dwelling, moving, nominal
 from hil.core.errors import DataError, FitError, PluginError, SpecError
 from hil.estimators import estimator, load_model_file, save_model
 from hil.estimators.rigid_linear import RigidWls
-from hil.estimators.static import StaticWls
+from hil.estimators.static_model import StaticWls
 
 pytestmark = pytest.mark.quick
 

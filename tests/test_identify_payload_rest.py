@@ -15,7 +15,7 @@ from hil.data import Dataset
 from hil.estimators.payload_fit import true_values
 from hil.estimators.payload_rest import estimate_payload_at_rest
 from hil.estimators.rigid_linear import RigidWls
-from hil.estimators.static import StaticWls
+from hil.estimators.static_model import StaticWls
 
 pytestmark = pytest.mark.quick
 

@@ -9,10 +9,10 @@ from synthetic_motion import arrivals_of
 
 from hil.data.approach_path import POINTS, QD, Q
 from hil.estimators.friction_memory import states_at_rest
-from hil.estimators.rest_friction import (
+from hil.estimators.static_friction import (
     Rest,
+    StaticCoulomb,
     correction_features,
-    coulomb_terms,
     drive_terms,
     memory_terms,
     smooth,
@@ -96,13 +96,13 @@ def test_smoothing_keeps_parabolas_and_takes_noise() -> None:
     assert smooth(parabola) == pytest.approx(parabola, abs=1e-15)
     noise = np.random.default_rng(0).normal(size=(200, POINTS, 1))
     assert np.std(smooth(noise)[:, 5:-5]) < 0.65
-    assert smooth(noise, 1) is noise
 
 
 def test_coulomb_is_the_direction_and_nothing_else() -> None:
     arms = rest()
-    assert set(coulomb_terms(arms)) == {"coulomb"}
-    assert np.array_equal(coulomb_terms(arms)["coulomb"], arms.direction)
+    terms = StaticCoulomb()._terms(arms)
+    assert set(terms) == {"coulomb"}
+    assert np.array_equal(terms["coulomb"], arms.direction)
 
 
 def test_memory_goes_with_load_and_temperature() -> None:

@@ -15,7 +15,7 @@ from hil.dynamics import load_model
 from hil.estimators.rigid_hysteresis import RigidHysteresis
 from hil.estimators.rigid_linear import RigidWls
 from hil.estimators.standstill import at_rest_effort, dry_friction, gravity_torque
-from hil.estimators.static import StaticWls
+from hil.estimators.static_model import StaticWls
 
 POSES = np.random.default_rng(4).uniform(-3.0, 3.0, (30, 6))
 

@@ -9,7 +9,7 @@ from synthetic_motion import GAINS, LOAD, OFFSET, dwelling, fourier, moving, nom
 from hil.core.errors import FitError, SpecError
 from hil.data import Conditions, Dataset
 from hil.estimators.gravity import paper_functions
-from hil.estimators.static import StaticWls
+from hil.estimators.static_model import StaticWls
 
 pytestmark = pytest.mark.quick
 

@@ -21,8 +21,7 @@ from hil.data.approach_path import Q
 from hil.data.dwells import series_means
 from hil.data.splits import split
 from hil.estimators import estimator, load_model_file, save_model
-from hil.estimators.static_coulomb import StaticCoulomb
-from hil.estimators.static_hysteresis import StaticHysteresis
+from hil.estimators.static_friction import StaticCoulomb, StaticHysteresis
 
 STILL = np.zeros(6)
 

@@ -15,8 +15,8 @@ from hil.data import Dataset
 from hil.data.splits import split
 from hil.dynamics import base_parameters
 from hil.estimators import estimator, load_model_file, save_model
-from hil.estimators.static import PAPER_PROTOCOL, StaticWls
 from hil.estimators.static_linear import StaticLinear
+from hil.estimators.static_model import PAPER_PROTOCOL, StaticWls
 
 PENALTY = {"tol": 1e-8, "max_iter": 100_000}
 THEIRS = {
@@ -177,7 +177,7 @@ def test_true_gravity_lies_in_the_intervals_as_often_as_they_say() -> None:
 
 @pytest.mark.parametrize("noise", ["normal", "student"])
 def test_intervals_know_that_the_papers_weights_come_from_the_same_data(noise) -> None:
-    from hil.estimators.static_least_squares import Block, DwellSeries, least_squares
+    from hil.estimators.static_linear import Block, DwellSeries, least_squares
 
     random = np.random.default_rng(2)
     X = np.column_stack([random.normal(size=(40, 2)), np.ones(40)])

@@ -11,7 +11,7 @@ from hil.arms.payload import Payload
 from hil.core.errors import DataError, FitError, SpecError
 from hil.data.splits import split
 from hil.estimators import load_model_file
-from hil.estimators.static import PAPER_PROTOCOL, StaticWls
+from hil.estimators.static_model import PAPER_PROTOCOL, StaticWls
 from hil.networks.lm import ConstantInputWarning
 from hil.networks.static_network import StaticMlpLm
 

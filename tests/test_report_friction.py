@@ -22,7 +22,7 @@ from hil.estimators.diffnea.forms import FORMS
 from hil.estimators.rigid_diffnea import RigidDiffnea
 from hil.estimators.rigid_irls import RigidIrls
 from hil.estimators.rigid_linear import RigidWls
-from hil.estimators.static import StaticWls
+from hil.estimators.static_model import StaticWls
 from hil.report import friction_plots
 from hil.report.blocks import Page, Plots
 from hil.report.predictions import Shown, shown

@@ -13,7 +13,7 @@ from hil.data.prediction import Prediction
 from hil.estimators.rigid_diffnea import RigidDiffnea
 from hil.estimators.rigid_irls import RigidIrls
 from hil.estimators.rigid_linear import RigidLeastSquares, RigidWls
-from hil.estimators.static import StaticWls
+from hil.estimators.static_model import StaticWls
 from hil.report import friction_plots, friction_words
 from hil.report.friction_seen import at_rest, in_motion
 from hil.report.predictions import Shown, shown, velocity

@@ -38,10 +38,8 @@ from hil.estimators.drive_curve import (
     nearest_current,
     visible_squares,
 )
-from hil.estimators.dwell_rows import one_row_each, pose_numbers
-from hil.estimators.parameters import choice, number
-from hil.estimators.static_clustered import PoseClustered, deviation
-from hil.estimators.static_model import Form
+from hil.estimators.parameters import choice, parameter
+from hil.estimators.static_model import Form, PoseClustered, deviation, one_row_each, pose_numbers
 
 Square = Literal["auto", "free", "zero"]
 
@@ -59,13 +57,6 @@ ASSUMED = "K₂ is taken as 0: torque goes linearly with current"
 class StaticInverse(PoseClustered):
     """Gravity, and a drive whose torque bends with its current; predicts by inverting eq. 16.
 
-    Args:
-        form: `paper`, each joint by itself with φ₂…φ₅ of eq. 15, or `shared`, all joints at once
-            (drive gains needed).
-        square: Whether K₂ is estimated: `auto` keeps it where its 99 % interval leaves out 0,
-            `free` wherever it could show, `zero` nowhere.
-        rest_speed: Faster than this [rad/s] a row is not at rest and the model not valid.
-
     Attributes:
         parameter_names_: Gravity parameters, then per joint `square` (K₂, 0 with NaN as its error
             where it was left out) and `offset` (−K₀).
@@ -75,14 +66,22 @@ class StaticInverse(PoseClustered):
     estimator: ClassVar[str] = "static-inverse"
     current_term = False
 
-    joint_notes_: tuple[str, ...]
+    form: Form = parameter(
+        "paper",
+        choice,
+        ("paper", "shared"),
+        doc="`paper`, each joint by itself with φ₂…φ₅ of eq. 15, or `shared`, all joints at once "
+        "(drive gains needed).",
+    )
+    square: Square = parameter(
+        "auto",
+        choice,
+        ("auto", "free", "zero"),
+        doc="Whether K₂ is estimated: `auto` keeps it where its 99 % interval leaves out 0, `free` "
+        "wherever it could show, `zero` nowhere.",
+    )
 
-    def __init__(
-        self, *, form: Form = "paper", square: Square = "auto", rest_speed: float = 0.01
-    ) -> None:
-        self.form = choice("form", form, ("paper", "shared"))
-        self.square = choice("square", square, ("auto", "free", "zero"))
-        self.rest_speed = number("rest_speed", rest_speed, above=0.0)
+    joint_notes_: tuple[str, ...]
 
     def needs(self, robot: RobotModel, *, loaded: bool = False) -> Needs:
         """Return what a fit cannot do without: poses as `PoseClustered`, and motor currents.

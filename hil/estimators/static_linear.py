@@ -1,59 +1,61 @@
 """The static paper's five linear estimators on one regressor (eq. 15–24, Table 2, Fig. 4).
 
-`static-wls` solves for all joints at once and weights joints; this one solves as the paper does,
-and tells how sure each parameter is. Its standard errors are clustered by pose: what the samples
-of a dwell, and the dwells of a pose, have in common does not count twice, see
-`hil.estimators.covariance`.
+`static-wls` solves for all joints at once and weights joints; `static-linear` solves R·θ = i as the
+paper does, joint by joint, and reports how sure each parameter is. What is minimised is
+scikit-learn's, whose scaling differs from the paper's printed one (n rows):
+
+| method | minimised | in the paper |
+|---|---|---|
+| ls, wls | Σ wᵢ rᵢ² | the same (21) |
+| ridge | Σ rᵢ² + α Σ θₖ² | α/2 in (22), α in its solution |
+| lasso | Σ rᵢ²/(2n) + α Σ abs(θₖ) | Σ rᵢ² + α/2 (Σ abs(θₖ))² in (23) |
+| elastic-net | Σ rᵢ²/(2n) + α ρ Σ abs(θₖ) + α (1−ρ)/2 Σ θₖ² | α in place of ρ in (24) |
+
+So α = 0.001 is next to nothing for ridge and a lot for lasso. Offsets are never penalised, as in
+scikit-learn with an intercept (where the column of ones of eq. 20 ends up).
+
+The paper's WLS weights every sample by 1/σ² with a variance of its own, from the residual of a
+least-squares fit. A variance from one residual is no variance: where the residual happens to be 0
+the weight is infinite, and the fit goes through that sample. So a variance here is that of a whole
+pose or dwell, and it is drawn towards the mean variance of its joint as if `PRIOR_OBSERVATIONS`
+further ones had had that one: (PRIOR·s² + m·v) / (PRIOR + m), v from m observations.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, ClassVar, Literal, Self
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 
-from hil.core import IntArray, SpecError
+from hil.core import FloatArray, IntArray, SpecError
 from hil.data import Dataset
 from hil.dynamics import RobotModel
 from hil.estimators.checks import require_rank
-from hil.estimators.dwell_rows import one_row_each, pose_numbers, scatter
-from hil.estimators.parameters import choice, flag, number
-from hil.estimators.static_clustered import PoseClustered, deviation
-from hil.estimators.static_least_squares import (
-    PENALISED,
-    Block,
-    DwellSeries,
-    Method,
-    Solution,
-    Weights,
-    least_squares,
-    penalised,
+from hil.estimators.covariance import ClusterSums, clustered_covariance
+from hil.estimators.parameters import choice, flag, number, parameter
+from hil.estimators.regression import WeightedLeastSquares
+from hil.estimators.static_model import (
+    CURRENT_TERM,
+    Form,
+    PoseClustered,
+    deviation,
+    one_row_each,
+    pose_numbers,
+    scatter,
 )
-from hil.estimators.static_model import Form
 
 Rows = Literal["dwells", "samples"]
+Method = Literal["ls", "ridge", "lasso", "elastic-net", "wls"]
+Weights = Literal["paper", "repeats", "pose"]
 
+PENALISED = ("ridge", "lasso", "elastic-net")
 NO_STD_ERROR = "none: a penalty pulls the parameters towards 0 by more than their scatter tells"
 
 
 class StaticLinear(PoseClustered):
     """Gravity and offset of an arm at rest by one of the paper's five methods.
-
-    Args:
-        method: `ls`, `ridge`, `lasso`, `elastic-net` or `wls`, see
-        `hil.estimators.static_least_squares`.
-        form: `paper`, each joint by itself in the unit of the effort, or `shared`, all joints at
-            once in N·m (not for `lasso` and `elastic-net`).
-        alpha: Weight of the penalty, in scikit-learn's scaling.
-        l1_ratio: Share of Σ abs(θ) in the penalty of `elastic-net`.
-        standardise: Penalise as if all columns had standard deviation 1. The paper does not.
-        weights: Of `wls`: `paper` (variances from the residual of a first fit), `repeats`
-            (variances of the samples of a dwell), `pose` (every pose counts once), see
-            `hil.estimators.pose_weights`.
-        rows: `dwells`, one row each, or `samples`, all of them, as the paper.
-        current_term: Only with `form: paper`: eq. 20 as printed, measured current included.
-        rest_speed: Faster than this [rad/s] a row is not at rest and the model not valid.
 
     Attributes:
         covariance_, degrees_, std_error_: NaN for `ridge`, `lasso` and `elastic-net`.
@@ -61,34 +63,49 @@ class StaticLinear(PoseClustered):
 
     estimator: ClassVar[str] = "static-linear"
 
-    def __init__(
-        self,
-        *,
-        method: Method = "ls",
-        form: Form = "paper",
-        alpha: float = 0.001,
-        l1_ratio: float = 0.5,
-        standardise: bool = False,
-        weights: Weights = "paper",
-        rows: Rows = "dwells",
-        current_term: bool = False,
-        rest_speed: float = 0.01,
-    ) -> None:
-        self.method = choice("method", method, ("ls", *PENALISED, "wls"))
-        self.form = choice("form", form, ("paper", "shared"))
-        self.alpha = number("alpha", alpha, at_least=0.0)
-        self.l1_ratio = number("l1_ratio", l1_ratio, at_least=0.0)
-        self.standardise = flag("standardise", standardise)
-        self.weights = choice("weights", weights, ("paper", "repeats", "pose"))
-        self.rows = choice("rows", rows, ("dwells", "samples"))
-        self.current_term = flag("current_term", current_term)
-        self.rest_speed = number("rest_speed", rest_speed, above=0.0)
-        self._require_form()
-        if l1_ratio > 1.0:
-            raise SpecError(f"l1_ratio is {l1_ratio!r}, but must be a share between 0 and 1")
-        if form == "shared" and method in ("lasso", "elastic-net"):
+    method: Method = parameter(
+        "ls", choice, ("ls", *PENALISED, "wls"), doc="See `hil.estimators.static_linear`."
+    )
+    form: Form = parameter(
+        "paper",
+        choice,
+        ("paper", "shared"),
+        doc="`paper`, each joint by itself in the unit of the effort, or `shared`, all joints at "
+        "once in N·m (not for `lasso` and `elastic-net`).",
+    )
+    alpha: float = parameter(
+        0.001, number, at_least=0.0, doc="Weight of the penalty, in scikit-learn's scaling."
+    )
+    l1_ratio: float = parameter(
+        0.5, number, at_least=0.0, doc="Share of Σ abs(θ) in the penalty of `elastic-net`."
+    )
+    standardise: bool = parameter(
+        False,
+        flag,
+        doc="Penalise as if all columns had standard deviation 1. The paper does not.",
+    )
+    weights: Weights = parameter(
+        "paper",
+        choice,
+        ("paper", "repeats", "pose"),
+        doc="Of `wls`: `paper` (variances from the residual of a first fit), `repeats` (variances "
+        "of the samples of a dwell), `pose` (every pose counts once).",
+    )
+    rows: Rows = parameter(
+        "dwells",
+        choice,
+        ("dwells", "samples"),
+        doc="`dwells`, one row each, or `samples`, all of them, as the paper.",
+    )
+    current_term: bool = CURRENT_TERM
+
+    def _check_together(self) -> None:
+        super()._check_together()
+        if self.l1_ratio > 1.0:
+            raise SpecError(f"l1_ratio is {self.l1_ratio!r}, but must be a share between 0 and 1")
+        if self.form == "shared" and self.method in ("lasso", "elastic-net"):
             raise SpecError(
-                f"method: {method} goes with form: paper only",
+                f"method: {self.method} goes with form: paper only",
                 hint="add form: paper, or choose another method",
             )
 
@@ -132,7 +149,7 @@ class StaticLinear(PoseClustered):
                 ),
             )
 
-    def _solved(self, columns: IntArray, block: Block) -> Solution:
+    def _solved(self, columns: IntArray, block: Block) -> BlockSolution:
         if self.method in PENALISED:
             return penalised(block, self.method, self.alpha, self.l1_ratio, self.standardise)
         found = least_squares(block, self.weights if self.method == "wls" else None)
@@ -140,7 +157,7 @@ class StaticLinear(PoseClustered):
         require_rank(found.rank, found.condition, names, block.X)
         return found
 
-    def _take(self, solved: list[tuple[IntArray, Block, Solution]]) -> None:
+    def _take(self, solved: list[tuple[IntArray, Block, BlockSolution]]) -> None:
         """Put the regressions' parameters together, in the torque domain."""
         self._allocate()
         for columns, block, found in solved:
@@ -154,3 +171,192 @@ class StaticLinear(PoseClustered):
             in_effort = self._unit(joints) / self.torque_scale_[joints]
             self.sigma_[joints] = in_effort * deviation(residual, len(columns))
         self.std_error_ = np.sqrt(np.diag(self.covariance_))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DwellSeries:
+    """The dwells that rows come from.
+
+    Attributes:
+        pose: (D,) from 0; what is clustered.
+        scatter: (D, n) variance of the samples of each dwell about their mean.
+        samples: (D,) how many samples there were.
+    """
+
+    pose: IntArray
+    scatter: FloatArray
+    samples: IntArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Block:
+    """One regression: joints that share no parameter with any other.
+
+    Attributes:
+        X: (N, p) regressor, its offset columns included.
+        y: (N,) target.
+        joint: (N,) joint of each row, from 0.
+        dwell: (N,) dwell of each row, from 0.
+        offset: Joint → its column of ones.
+        series: All dwells.
+    """
+
+    X: FloatArray
+    y: FloatArray
+    joint: IntArray
+    dwell: IntArray
+    offset: dict[int, int]
+    series: DwellSeries
+
+    @property
+    def pose(self) -> IntArray:
+        """(N,) pose of each row, from 0."""
+        return self.series.pose[self.dwell]
+
+
+class BlockSolution(NamedTuple):
+    """What a method finds for a block.
+
+    Attributes:
+        coefficients: (p,).
+        covariance: (p, p), clustered by pose; NaN where the method gives none.
+        degrees: (p,) degrees of freedom of the intervals; NaN likewise.
+        rank: Excited directions.
+        condition: Condition number of the column-scaled, weighted regressor.
+    """
+
+    coefficients: FloatArray
+    covariance: FloatArray
+    degrees: FloatArray
+    rank: int
+    condition: float
+
+
+def least_squares(block: Block, weights: Weights | None) -> BlockSolution:
+    """Least squares, weighted if asked, with pose-clustered CR2 covariance."""
+    if weights == "paper":
+        return _weighted_by_residual(block)
+    weight = np.ones_like(block.y)
+    if weights == "pose":  # every pose counts once, however many dwells and samples it has
+        weight = 1.0 / np.bincount(block.pose)[block.pose]
+    elif weights == "repeats":
+        weight = _repeat_weights(block)
+    solver = WeightedLeastSquares().fit(block.X, block.y, sample_weight=weight)
+    return _solution(solver, _residual_sums(block, solver, weight))
+
+
+def _residual_sums(block: Block, solver: WeightedLeastSquares, weight: FloatArray) -> ClusterSums:
+    return ClusterSums.of(block.X, block.y - block.X @ solver.coef_, weight, block.pose)
+
+
+def _solution(solver: WeightedLeastSquares, sums: ClusterSums) -> BlockSolution:
+    found = clustered_covariance(solver.bread_, sums)
+    return BlockSolution(solver.coef_, *found, int(solver.rank_), float(solver.condition_))
+
+
+PRIOR_OBSERVATIONS = 4.0
+"""Observations' worth of the joint's mean variance. With one residual per pose the weights are
+those of one step towards the maximum likelihood of Student's t with 4 degrees of freedom."""
+
+
+def _weighted_by_residual(block: Block) -> BlockSolution:
+    """The paper's two steps; the intervals know that the weights came from the same data.
+
+    All rows of a pose are one observation of its variance: they share what friction left. Where a
+    residual is large its weight is small, so its pull does not grow with it. That makes the second
+    fit answer less to an error than its weights suggest, and inherit part of the first fit's error:
+    to first order the scores' sum changes by −Σ κ_g s_g s_gᵀ times the change of the coefficients,
+    s_g = X_gᵀ r_g of pose g, and (B₁ − D)·B₀⁻¹·s joins the score.
+    """
+    ones = np.ones_like(block.y)
+    first = WeightedLeastSquares().fit(block.X, block.y)
+    residual = block.y - block.X @ first.coef_
+    weight, gap, prior = np.empty_like(block.y), np.zeros_like(first.bread_), PRIOR_OBSERVATIONS
+    for joint in block.offset:
+        rows = block.joint == joint
+        pose, own = block.pose[rows], residual[rows]
+        count = np.bincount(pose)
+        mean_square = np.bincount(pose, own**2) / count
+        common = max(float(np.mean(mean_square)), _floor(block))
+        variance = (prior * common + mean_square) / (prior + 1.0)
+        weight[rows] = 1.0 / variance[pose]
+        kappa = 2.0 / ((prior + 1.0) * count * variance**2)
+        score = ClusterSums.of(block.X[rows], own, ones[rows], pose).score
+        gap += (score.T * kappa) @ score
+    second = WeightedLeastSquares().fit(block.X, block.y, sample_weight=weight)
+    sums = _residual_sums(block, second, weight)
+    inherited = ClusterSums.of(block.X, residual, ones, block.pose).score @ first.bread_ @ gap
+    return _solution(second, replace(sums, score=sums.score + inherited))
+
+
+def _repeat_weights(block: Block) -> FloatArray:
+    """(N,) 1/variance of the repeats of the dwell a row belongs to."""
+    weight, prior = np.empty_like(block.y), PRIOR_OBSERVATIONS
+    degrees = block.series.samples - 1.0  # one sample alone has no variance
+    for joint in block.offset:
+        rows, variance = block.joint == joint, block.series.scatter[:, joint]
+        # Quantised samples may all be equal.
+        mean = float(variance @ degrees) / max(float(np.sum(degrees)), 1.0)
+        common = max(mean, _floor(block))
+        drawn = (prior * common + degrees * variance) / (prior + degrees)
+        weight[rows] = 1.0 / drawn[block.dwell[rows]]
+    return weight
+
+
+def _floor(block: Block) -> float:
+    """Variance below which data count as free of noise."""
+    return max((1e-12 * float(np.max(np.abs(block.y), initial=0.0))) ** 2, 1e-60)
+
+
+def penalised(
+    block: Block, method: str, alpha: float, l1_ratio: float, standardise: bool
+) -> BlockSolution:
+    """Ridge, lasso or elastic net of scikit-learn; no uncertainties: a penalty biases.
+
+    Args:
+        block: The regression.
+        method: `ridge`, `lasso` or `elastic-net`.
+        alpha: Weight of the penalty.
+        l1_ratio: Share of Σ abs(θ) in the elastic net's penalty.
+        standardise: Penalise coefficients of columns scaled to standard deviation 1.
+    """
+    own = [k for k in range(block.X.shape[1]) if k not in block.offset.values()]
+    mean_X, mean_y = _joint_means(block, block.X[:, own]), _joint_means(block, block.y[:, None])
+    X = block.X[:, own] - mean_X[block.joint]
+    y = block.y - mean_y[block.joint, 0]
+    scale = np.std(X, axis=0) if standardise else np.ones(len(own))
+    scale = np.where(scale > 0, scale, 1.0)
+    coefficients = np.zeros(block.X.shape[1])
+    if own:
+        fitted = _regressor(method, alpha, l1_ratio).fit(X / scale, y)
+        coefficients[own] = fitted.coef_ / scale
+    for joint, column in block.offset.items():
+        coefficients[column] = mean_y[joint, 0] - mean_X[joint] @ coefficients[own]
+    p = len(coefficients)
+    probe = WeightedLeastSquares().fit(block.X, block.y)
+    unknown = np.full((p, p), np.nan)
+    rank, condition = int(probe.rank_), float(probe.condition_)
+    return BlockSolution(coefficients, unknown, unknown[0], rank, condition)
+
+
+def _joint_means(block: Block, values: FloatArray) -> FloatArray:
+    """(n, k) mean of values (N, k) over the rows of each joint; 0 for joints without rows."""
+    count = np.bincount(block.joint)
+    sums = np.zeros((len(count), values.shape[1]))
+    np.add.at(sums, block.joint, values)
+    means: FloatArray = sums / np.maximum(count, 1)[:, None]
+    return means
+
+
+def _regressor(method: str, alpha: float, l1_ratio: float) -> Any:
+    from sklearn.linear_model import ElasticNet, Lasso, LinearRegression, Ridge
+
+    if alpha == 0.0:  # scikit-learn advises against descending to least squares
+        return LinearRegression(fit_intercept=False)
+    if method == "ridge":
+        return Ridge(alpha=alpha, fit_intercept=False)
+    # The tolerance of the coordinate descent is the paper's.
+    descent: dict[str, Any] = {"fit_intercept": False, "tol": 1e-8, "max_iter": 100_000}
+    if method == "lasso":
+        return Lasso(alpha=alpha, **descent)
+    return ElasticNet(alpha=alpha, l1_ratio=l1_ratio, **descent)

@@ -1,29 +1,66 @@
-"""The base of all linear models of an arm at rest: regressor (eq. 18–20), predictions, refusals."""
+"""Linear models of an arm at rest: gravity, an offset per joint, and how sure their parameters are.
+
+At rest, gravity is the motor's torque, φ_j·θ_j = K₂·i²·sign(i) + K₁·i + K₀ (static paper, eq. 18).
+Gravity comes in two forms (`hil.estimators.gravity`):
+
+- `shared`: the arm's base gravity regressor, one set of parameters for all joints, plus one offset
+  per joint, fitted to K·i. Needs the drive gains.
+- `paper`: φ₂…φ₅ of eq. 15, one independent regression per joint plus an offset; needs no drive
+  gains while nothing is mounted. Only for the six-joint arms of Universal Robots on a level base.
+
+The column i²·sign(i) of eq. 20 is left out by default: it puts the target into its own regressor,
+and a model that needs the current to predict the current predicts nothing. `current_term` adds it
+to reproduce the paper's numbers, and the model then says so wherever it shows (`protocol`).
+
+`StaticModel` is the base of all, with regressor, predictions and refusals; `StaticWls`
+(`static-wls`) solves it by weighted least squares. `PoseClustered` is the base of those that report
+how sure each parameter is, with standard errors clustered by pose. Friction at rest depends on how
+the pose was approached and enters as noise; poses approached from both sides average it out. Every
+dwell counts once: its ten samples are nearly one sample, and standard errors that counted all ten
+would be three times too small. Models that know the approach are in
+`hil.estimators.static_friction`.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import ClassVar, Literal
+from dataclasses import replace
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
 from hil.arms import Payload
-from hil.core import BoolArray, FitError, FloatArray, SpecError
-from hil.data import Dataset, DwellRule, Prediction, SeriesKind, Stream, dwells_of
+from hil.core import BoolArray, FitError, FloatArray, IntArray, SpecError
+from hil.data import (
+    SAMPLES_PER_DWELL,
+    Dataset,
+    DwellRule,
+    Prediction,
+    SeriesKind,
+    Stream,
+    dwells_of,
+    group_of,
+    series_means,
+)
 from hil.dynamics import RobotModel, joint_columns
 from hil.estimators.base import HONEST, WlsEstimator, load_of, payload_torque
 from hil.estimators.checks import (
     Needs,
     require_clean,
+    require_motion,
     require_plausible,
     require_robot,
+    require_varied,
     torque_scale,
 )
-from hil.estimators.gravity import BaseGravity, GravityForm, PaperGravity
+from hil.estimators.covariance import interval
+from hil.estimators.gravity import BaseGravity, GravityForm, PaperGravity, reach_of
+from hil.estimators.parameters import choice, flag, number, parameter
 
 Form = Literal["shared", "paper"]
 
 PAPER_PROTOCOL = "paper: the measured current is among the inputs"
+
 CURRENT_PART = "measured current² (paper protocol)"
 """Component of a prediction that is made of what is to be predicted."""
 
@@ -31,13 +68,12 @@ CURRENT_PART = "measured current² (paper protocol)"
 class StaticModel(WlsEstimator):
     """Gravity and offset of an arm at rest, linear in the parameters.
 
-    At rest, gravity is the motor's torque, φ_j·θ_j = K₂·i²·sign(i) + K₁·i + K₀ (eq. 18, static
-    paper). Divided by K₁ (eq. 19) it is linear: with `current_term` joint j's regressor is
+    Divided by K₁ (eq. 19), eq. 18 is linear: with `current_term` joint j's regressor is
     R_j = [φ_j, i²·sign(i), 1] (eq. 20), and its last two coefficients are −K₂/K₁ and −K₀/K₁ after
     division by `torque_scale_[j]`.
 
     Attributes:
-        form, current_term, rest_speed: Parameters that every subclass has.
+        form, current_term: Parameters, or constants of a subclass.
         parameter_names_: Gravity parameters, then per joint `offset`, or `current_squared` and
             `offset`.
         samples_: Number of dwells.
@@ -48,7 +84,12 @@ class StaticModel(WlsEstimator):
 
     form: Form
     current_term: bool
-    rest_speed: float
+    rest_speed: float = parameter(
+        0.01,
+        number,
+        above=0.0,
+        doc="Faster than this [rad/s] a row is not at rest and the model not valid.",
+    )
 
     @property
     def protocol(self) -> str:
@@ -133,7 +174,7 @@ class StaticModel(WlsEstimator):
         self._require_gains(payload is not None and not payload.is_empty)
         return super().stream(payload)
 
-    def _require_form(self) -> None:
+    def _check_together(self) -> None:
         if self.current_term and self.form != "paper":
             raise SpecError(
                 "current_term is eq. 20 of the paper and goes with form: paper only",
@@ -208,3 +249,190 @@ def signed_square(current: FloatArray) -> FloatArray:
     """i²·sign(i) of eq. 16, elementwise."""
     squared: FloatArray = current * np.abs(current)
     return squared
+
+
+CURRENT_TERM = parameter(
+    False, flag, doc="Only with `form: paper`: eq. 20 as printed, measured current included."
+)
+
+
+class StaticWls(StaticModel):
+    """Gravity and offset of an arm at rest, weighted joint by joint."""
+
+    estimator: ClassVar[str] = "static-wls"
+
+    form: Form = parameter("shared", choice, ("shared", "paper"), doc="`shared` or `paper`.")
+    weighted: bool = parameter(
+        True,
+        flag,
+        doc="Weight the joints by their residual; makes no difference to `paper`, whose joints are "
+        "independent.",
+    )
+    current_term: bool = CURRENT_TERM
+
+    def fit(self, dataset: Dataset, robot: RobotModel) -> Self:
+        """Fit to the dwells of the data, or to the stays found in motions without a plan.
+
+        Raises:
+            FitError: The data are too few, not finite, of another robot or unit, or do not
+                excite all parameters; or `current_term` meets efforts that are no currents.
+        """
+        dwells = self._dwells(dataset, robot)
+        self.samples_ = len(dwells.conditions)
+        self.needs(robot).require(dwells=self.samples_)
+        self._solve(one_row_each(dwells), weighted=self.weighted)
+        return self
+
+
+STD_ERROR_GIVEN = (
+    "exact drive gains, declared loads, kinematics and form of the model; poses independent of "
+    "each other, whatever the samples and dwells of one pose share (clustered by pose, CR2, "
+    "Student's t with Satterthwaite's degrees of freedom)"
+)
+
+STD_ERROR_LEAVES_OUT = (
+    "errors of the gains, loads and kinematics; gravity of another form; friction that depends on "
+    "the pose and not on the approach; what all poses have in common, such as temperature"
+)
+
+
+class PoseClustered(StaticModel):
+    """A static model solved joint by joint (`form: paper`) or for all joints at once (`shared`).
+
+    Attributes:
+        covariance_: (p, p) of the parameters, clustered by pose; 0 between regressions.
+        degrees_: (p,) of Student's t for `interval`.
+        poses_: Number of poses.
+    """
+
+    covariance_: FloatArray
+    degrees_: FloatArray
+    poses_: int
+
+    def interval(self, level: float = 0.95) -> FloatArray:
+        """(p, 2) in which each parameter lies with probability `level`; NaN if not told."""
+        return interval(self.coefficients_, self.std_error_, self.degrees_, level)
+
+    def fitted_arrays(self) -> dict[str, FloatArray]:
+        """Parameters, their covariance, gains and residual deviations."""
+        own = {"covariance": self.covariance_, "degrees": self.degrees_}
+        return super().fitted_arrays() | own
+
+    def fitted_facts(self) -> dict[str, Any]:
+        """As of every linear model; what the standard errors are given, and the notes."""
+        errors = self._std_error_facts()
+        return super().fitted_facts() | {"std_error": errors, "poses": self.poses_}
+
+    def restore(self, arrays: dict[str, FloatArray], facts: dict[str, Any]) -> None:
+        """Take over what `fitted_arrays` and `fitted_facts` wrote."""
+        super().restore(arrays, facts)
+        self.covariance_, self.degrees_ = arrays["covariance"], arrays["degrees"]
+        self.poses_ = int(facts["poses"])
+
+    def needs(self, robot: RobotModel, *, loaded: bool = False) -> Needs:
+        """Return what a fit cannot do without: a pose more than the widest regression has columns.
+
+        Raises:
+            FitError: `form: paper` does not support this robot.
+        """
+        form, terms = self._form_of(robot), len(self._own_terms())
+        widest = len(form.names) + robot.n * terms
+        if self.form == "paper":
+            widest = terms + max(form.joint.count(joint) for joint in range(robot.n))
+        return replace(super().needs(robot, loaded=loaded), least={"poses": widest + 1})
+
+    def _std_error_facts(self) -> dict[str, Any]:
+        return {"given": STD_ERROR_GIVEN, "leaves_out": STD_ERROR_LEAVES_OUT}
+
+    def _enough_dwells(self, dataset: Dataset, robot: RobotModel) -> Dataset:
+        """The dwells to fit to, if there are enough poses; sets what is known of them.
+
+        Raises:
+            FitError: There are fewer poses than parameters of one regression and one more, or see
+                `StaticModel._dwells`.
+        """
+        dwells = self._dwells(dataset, robot)
+        self.samples_ = len(dwells.conditions)
+        self.poses_ = len(set(pose_numbers(dwells).tolist()))
+        self.needs(robot).require(poses=self.poses_)
+        self.notes_ = tuple(short_dwells(dwells))
+        return dwells
+
+    def _allocate(self) -> None:
+        count, n = len(self.parameter_names_), len(self.joint_names_)
+        self.coefficients_, self.degrees_ = np.zeros(count), np.full(count, np.nan)
+        self.covariance_, self.sigma_ = np.zeros((count, count)), np.zeros(n)
+        self.condition_, self.correlated_samples_ = 1.0, np.ones(n)
+
+    def _require_excited(self, data: Dataset, cube: FloatArray) -> None:
+        """Refuse joints that never moved though gravity depends on them, and constant columns."""
+        turn, span = reach_of(self._form, data.n_joints)
+        require_motion(data, np.flatnonzero(turn).tolist())
+        change, names = np.ptp(cube, axis=0).max(axis=0), self.parameter_names_
+        gravity = slice(0, len(span))
+        require_varied(change[gravity], span, names[gravity])
+
+    def _unit(self, joints: IntArray) -> FloatArray:
+        """(k,) torque per unit in which the joints are fitted: their efforts, or torques."""
+        alone = self.form == "paper"
+        return self.torque_scale_[joints] if alone else np.ones(len(joints))
+
+    def _joint_groups(self) -> list[IntArray]:
+        joints = np.arange(len(self.joint_names_))
+        return list(joints[:, None]) if self.form == "paper" else [joints]
+
+    def _columns_of(self, joints: IntArray) -> IntArray:
+        """Ascending: gravity columns of the joints, then what each has for itself."""
+        gravity = [k for k, j in enumerate(self._form.joint) if j is None or j in joints]
+        terms = len(self._own_terms())
+        own = [self._offset_of(j) - terms + 1 + t for j in joints for t in range(terms)]
+        return np.array([*gravity, *own], dtype=np.int64)
+
+    def _offset_of(self, joint: int) -> int:
+        """Column of a joint's offset among all parameters."""
+        return len(self._form.names) + (joint + 1) * len(self._own_terms()) - 1
+
+
+def deviation(residual: FloatArray, parameters: int) -> FloatArray:
+    """(k,) standard deviation of residuals (N, k) that `parameters` fitted together."""
+    joints = residual.shape[1]
+    degrees = max(len(residual) - parameters / joints, 1.0)
+    found: FloatArray = np.sqrt(np.sum(residual**2, axis=0) / degrees)
+    return found
+
+
+def one_row_each(dwells: Dataset) -> Dataset:
+    """The same series with their samples averaged to one row, temperatures too if measured."""
+    columns = {"t": dwells["t"][dwells.offsets[:-1]]}
+    for name in ("q", "effort", "temperature"):
+        if name in dwells.columns:
+            columns[name] = series_means(dwells, dwells[name])
+    return replace(dwells, columns=columns, offsets=np.arange(len(dwells.conditions) + 1))
+
+
+def pose_numbers(dwells: Dataset) -> IntArray:
+    """(S,) pose of each series, numbered from 0; a series without a pose is one of its own."""
+    known: dict[object, int] = {}
+    groups = (group_of(condition, "pose") for condition in dwells.conditions)
+    numbers = [known.setdefault(g or index, len(known)) for index, g in enumerate(groups)]
+    return np.array(numbers, dtype=np.int64)
+
+
+def scatter(dwells: Dataset) -> FloatArray:
+    """(S, n) variance of each series' effort about its mean; 0 with a single sample."""
+    effort = dwells["effort"]
+    about = effort - series_means(dwells, effort)[dwells.series_index()]
+    degrees = np.maximum(np.diff(dwells.offsets) - 1, 1)
+    sums = np.add.reduceat(about**2, dwells.offsets[:-1], axis=0)
+    return np.asarray(sums / degrees[:, None])
+
+
+def short_dwells(dwells: Dataset) -> Iterator[str]:
+    """A note when dwells have fewer samples than the static paper asks for."""
+    counts = np.diff(dwells.offsets)
+    short = counts[counts < SAMPLES_PER_DWELL]
+    if len(short):
+        yield (
+            f"{len(short)} of {len(counts)} dwells have fewer than {SAMPLES_PER_DWELL} samples "
+            f"(the shortest {short.min()}); each is used as it is"
+        )

@@ -153,7 +153,7 @@ def _ripple(rest: list[str], number: str) -> Term:
 
 
 def rest_term(name: str) -> Term:
-    """A term of friction at rest (`hil.estimators.rest_friction`) by name.
+    """A term of friction at rest (`hil.estimators.static_friction`) by name.
 
     Raises:
         KeyError: There is none of that name.

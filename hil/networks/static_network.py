@@ -114,7 +114,7 @@ class StaticMlpLm(StaticModel):
         self.device = device
         self.seed = whole("seed", seed, at_least=0)
         self.jobs = whole("jobs", jobs, at_least=1)
-        self._require_form()
+        self._check_together()
         self._mlp = Mlp(layers, activations)
         Settings.given(self._settings())
         if validation_percent >= 100.0:
