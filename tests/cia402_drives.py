@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 
 from hil.arms import load_arm
-from hil_drivers.cia402.canopen_acyclic import CanopenAcyclic
+from hil_drivers.cia402.can_bus import CanopenAcyclic
 from hil_mock_robot.cia402.dictionary import registers_of
 from hil_mock_robot.cia402.node import MockNode
 

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hil_drivers.cia402.contracts import Inputs, News, Outputs
+from hil_drivers.cia402.bus import Inputs, News, Outputs
 from hil_drivers.cia402.mapping import ALL_MODES, Mapping
 from hil_drivers.cia402.supervisor import Phase, Supervisor
 

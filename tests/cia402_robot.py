@@ -11,7 +11,8 @@ from typing import Any
 import can
 from can_mock import MockCan
 
-from hil_drivers.cia402.mapping import POSITION, rpdo_cob_id
+from hil_drivers.cia402.can_channel import rpdo_cob_id
+from hil_drivers.cia402.mapping import POSITION
 
 LAST_NODE = 6
 SLOWER = 100

@@ -8,7 +8,7 @@ import pytest
 
 from hil.can import interfaces
 from hil.can.interfaces import can_interfaces, is_up
-from hil_drivers.cia402.bus_options import Bus
+from hil_drivers.cia402.can_channel import CanChannel
 from hil_drivers.cia402.reach import reached
 
 UP, DOWN, NO_NUMBER = "0x40081\n", "0x40080\n", "\n"
@@ -49,7 +49,7 @@ def test_a_driver_tells_of_its_interface_and_never_raises(
 ) -> None:
     network = kernel(tmp_path, can0=flags)
     monkeypatch.setattr(interfaces.is_up, "__defaults__", (network,))
-    (told,) = reached(Bus("socketcan", "can0", 500_000))
+    (told,) = reached(CanChannel("socketcan", "can0", 500_000))
     assert (told.passed, told.message) == (passed, message)
     if flags == DOWN:
         assert told.hint == "sudo ip link set can0 up type can bitrate 500000"

@@ -8,11 +8,10 @@ import pytest
 from cia402_drives import drives
 
 from hil.core.errors import CommandRefused, RobotTimeout, SpecError
-from hil_drivers.cia402 import canopen_acyclic, objects
-from hil_drivers.cia402.aborts import Aborted
-from hil_drivers.cia402.inspection import errors_of
+from hil_drivers.cia402 import can_bus, objects
+from hil_drivers.cia402.commissioning import errors_of
 from hil_drivers.cia402.mapping import ALL_MODES, MINIMAL, POSITION
-from hil_drivers.cia402.objects import Entry
+from hil_drivers.cia402.objects import Aborted, Entry
 from hil_mock_robot.cia402.contracts import key
 from hil_mock_robot.cia402.dictionary import eds_of
 
@@ -65,7 +64,7 @@ def test_a_value_that_does_not_fit_is_refused_before_it_is_sent():
 
 
 def test_a_drive_that_says_nothing_is_named_with_what_to_look_at(monkeypatch):
-    monkeypatch.setattr(canopen_acyclic, "ANSWER_S", 0.02)
+    monkeypatch.setattr(can_bus, "ANSWER_S", 0.02)
     with drives() as line:
         line.lost = lambda can_id, _: can_id == 0x582
         with pytest.raises(RobotTimeout, match=r"joint_2 \(node 2\): 6041h .* no answer") as caught:
@@ -75,7 +74,7 @@ def test_a_drive_that_says_nothing_is_named_with_what_to_look_at(monkeypatch):
 
 
 def test_one_lost_answer_is_asked_for_again(monkeypatch):
-    monkeypatch.setattr(canopen_acyclic, "ANSWER_S", 0.02)
+    monkeypatch.setattr(can_bus, "ANSWER_S", 0.02)
     with drives() as line:
         dropped = []
 
@@ -118,7 +117,7 @@ def test_nmt_states_are_confirmed_by_heartbeats_that_are_switched_on_for_it():
 
 
 def test_a_drive_that_does_not_follow_nmt_is_named_with_its_state(monkeypatch):
-    monkeypatch.setattr(canopen_acyclic, "CONFIRM_S", 0.3)
+    monkeypatch.setattr(can_bus, "CONFIRM_S", 0.3)
     with drives() as line:
         line.master.preoperational()
         line.lost = lambda can_id, data: can_id == 0x702 and data == b"\x05"

@@ -8,10 +8,9 @@ from cia402_drives import drives
 from in_time import InTime, measured_again
 
 from hil_drivers.cia402 import objects as od
-from hil_drivers.cia402.left_faults import faults_left
+from hil_drivers.cia402.commissioning import faults_left, part, unwatch
 from hil_drivers.cia402.objects import Entry
-from hil_drivers.cia402.parting import part, unwatch
-from hil_drivers.cia402.thermometer import Thermometer
+from hil_drivers.cia402.session import Thermometer
 from hil_mock_robot.cia402.contracts import key
 
 WATCHED = 127 << 16 | 250
@@ -34,17 +33,17 @@ def test_all_drives_are_asked_at_once_and_those_who_answer_are_told() -> None:
         line.nodes[0].registers[key(0x6064)] = -5
         silence(line, 1)
         began = time.monotonic()
-        assert line.master.at_once.read(od.POSITION, range(3), 0.1).keys() == {0, 2}
-        assert line.master.at_once.read(od.POSITION, [0], LONG_S) == {0: -5}
+        assert line.master.upload_each(od.POSITION, range(3), 0.1).keys() == {0, 2}
+        assert line.master.upload_each(od.POSITION, [0], LONG_S) == {0: -5}
         assert time.monotonic() - began < LONG_S / 2
 
 
 def test_what_a_drive_refuses_is_neither_read_nor_written() -> None:
     with drives(2) as line:
-        at_once = line.master.at_once
-        assert at_once.read(Entry("no_such", 0x5FFF, 3, "B"), [0], LONG_S) == {}
-        assert at_once.write(od.STATUSWORD, 5, [0, 1], LONG_S) == []
-        assert at_once.write(od.QUICK_STOP_OPTION, 6, [0, 1], LONG_S) == [0, 1]
+        master = line.master
+        assert master.upload_each(Entry("no_such", 0x5FFF, 3, "B"), [0], LONG_S) == {}
+        assert master.download_each(od.STATUSWORD, 5, [0, 1], LONG_S) == []
+        assert master.download_each(od.QUICK_STOP_OPTION, 6, [0, 1], LONG_S) == [0, 1]
         assert line.nodes[1].registers[key(0x605A)] == 6
 
 
@@ -52,7 +51,7 @@ def test_an_answer_that_nobody_waited_for_does_not_disturb_who_asks_next() -> No
     with drives(1) as line:
         late: list[tuple[int, bytes]] = []
         line.lost = lambda *frame: not late.append(frame)
-        line.master.at_once.read(od.POSITION, [0])
+        line.master.upload_each(od.POSITION, [0])
         line.lost = lambda *_: False
 
         def first_the_late_one(can_id: int, data: bytes) -> bool:
@@ -70,7 +69,7 @@ def test_an_answer_that_nobody_waited_for_does_not_disturb_who_asks_next() -> No
 def test_a_silent_drive_is_asked_for_its_temperature_without_waiting() -> None:
     with drives(2) as line:
         silence(line, 0, 1)
-        thermometer = Thermometer(line.master.at_once, 0x2110, 2)
+        thermometer = Thermometer(line.master, 0x2110)
         own = InTime()
         thermometer.look()
         own.require(0.05)

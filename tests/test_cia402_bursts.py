@@ -12,8 +12,7 @@ import pytest
 
 from hil.can.frame import pack_frame
 from hil.core.errors import RobotConnectionError
-from hil_drivers.cia402.bursts import MOST, receiving, sending
-from hil_drivers.cia402.ports import SocketPort
+from hil_drivers.cia402.can_channel import MOST, SocketPort, receiving, sending
 
 FRAMES = [pack_frame(0x80, b"")] + [pack_frame(0x200 + n, bytes([n] * n)) for n in range(1, 7)]
 

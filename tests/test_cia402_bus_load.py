@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from hil.core.errors import SpecError
-from hil_drivers.cia402.bus_load import cycle_lengths, load_of, most_rate_hz, require_room
+from hil_drivers.cia402.can_channel import cycle_lengths, load_of, most_rate_hz, require_room
 from hil_drivers.cia402.mapping import ALL_MODES, MAPPINGS, MINIMAL, POSITION
 
 MBIT = 1e6

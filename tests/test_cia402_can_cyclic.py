@@ -18,8 +18,8 @@ from hil.can.frame import (
     pack_frame,
     unpack_frame,
 )
-from hil_drivers.cia402.can_cyclic import CanCyclic
-from hil_drivers.cia402.contracts import Inputs, News, Outputs
+from hil_drivers.cia402.bus import Inputs, News, Outputs
+from hil_drivers.cia402.can_cycle import CanCyclic
 from hil_drivers.cia402.mapping import ALL_MODES, MINIMAL, POSITION
 
 NODES = (3, 7)

@@ -10,8 +10,7 @@ import pytest
 from cia402_drives import ARM, drives
 
 from hil.core.errors import CommandRefused, RobotConnectionError
-from hil_drivers.cia402.commissioning import commission
-from hil_drivers.cia402.inspection import out_of_range
+from hil_drivers.cia402.commissioning import configured, inspected, out_of_range
 from hil_drivers.cia402.options import options_of
 from hil_drivers.cia402.profile import AxisProfile
 from hil_mock_robot.cia402.contracts import key
@@ -27,7 +26,8 @@ def options(n: int = 2, **given):
 
 def commissioned(line, **given):
     line.master.preoperational()
-    return commission(line.master, options(len(line.nodes), **given), ARM)
+    told = options(len(line.nodes), **given)
+    return configured(line.master, told, inspected(line.master, told, ARM))
 
 
 def refused(line, **given) -> str:
@@ -95,7 +95,7 @@ def test_what_is_so_already_is_not_written_again():
     with drives(1) as line:
         commissioned(line)
         line.sent.clear()
-        commission(line.master, options(1), ARM)
+        inspected(line.master, options(1), ARM)
         assert [d for can_id, d in line.sent if can_id == 0x601 and d[0] >> 5 == 1] == []
 
 

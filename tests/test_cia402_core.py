@@ -11,12 +11,12 @@ import pytest
 from cia402_parts import CSP, CST, ENABLED, FAULT, OFF, PERIOD_S, READY, FakeDrives
 
 from hil.core.errors import CommandRefused, RobotConnectionError, RobotFault, RobotTimeout
-from hil_drivers.cia402.contracts import Emergency, News, Outputs
+from hil_drivers.cia402.bus import Emergency, News, Outputs
 from hil_drivers.cia402.core import Core
 from hil_drivers.cia402.mapping import ALL_MODES, INCOMPLETE, STALLED
 from hil_drivers.cia402.player import Gains, Player, Track
-from hil_drivers.cia402.schedule import Schedule
 from hil_drivers.cia402.supervisor import Phase, Supervisor
+from hil_drivers.cia402.timing import Schedule
 
 N = 3
 RAD = 1e-6
@@ -225,7 +225,7 @@ def test_fault_ends_the_motion_and_is_told_once(station: Station) -> None:
     station.drives.heard = News(emergencies=[Emergency(1, 0x8611, 0, bytes(5))])
     station.drives.drives[1].status = FAULT
     problem = station.problem()
-    assert "axis 2 (node 2): EMCY 8611h" in problem
+    assert "axis 2 (node 2): following error (8611h)" in problem
     assert station.core.take_problem() == ""
     assert not station.player.moving
     assert station.outputs.segment == -1

@@ -15,14 +15,14 @@ from cia402_parts import CSP, ENABLED, FakeDrive
 from hil.can.frame import Frame
 from hil.can.hosted_hub import HostedHub, hub_thread
 from hil.can.hub import Hub
-from hil_drivers.cia402.can_cyclic import CanCyclic
-from hil_drivers.cia402.contracts import Outputs
+from hil_drivers.cia402.bus import Outputs
+from hil_drivers.cia402.can_channel import port_of
+from hil_drivers.cia402.can_cycle import CanCyclic
 from hil_drivers.cia402.core import Core
 from hil_drivers.cia402.mapping import INCOMPLETE, POSITION
 from hil_drivers.cia402.player import Player, Track
-from hil_drivers.cia402.ports import port_of
-from hil_drivers.cia402.schedule import Schedule
 from hil_drivers.cia402.supervisor import Phase, Supervisor
+from hil_drivers.cia402.timing import Schedule
 
 pytestmark = pytest.mark.wire
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 import canopen
 import pytest
 
-from hil_drivers.cia402.aborts import TEXTS as ABORTS
-from hil_drivers.cia402.aborts import abort_text
-from hil_drivers.cia402.contracts import Emergency
-from hil_drivers.cia402.emergencies import (
-    RANGES,
-    TEXTS,
-    emergency_text,
+from hil_drivers.cia402.bus import Emergency
+from hil_drivers.cia402.objects import (
+    ABORTS,
+    ERROR_RANGES,
+    ERRORS,
+    abort_text,
     error_text,
     register_text,
 )
@@ -35,14 +34,14 @@ def test_a_code_is_told_by_its_own_text_or_by_the_narrowest_range(code, text):
 
 
 def test_ranges_are_asked_from_narrow_to_wide():
-    widths = [mask.bit_count() for mask, _, _ in RANGES]
+    widths = [mask.bit_count() for mask, _, _ in ERROR_RANGES]
     assert widths == sorted(widths, reverse=True)
-    assert all(kept & mask == kept for mask, kept, _ in RANGES)
+    assert all(kept & mask == kept for mask, kept, _ in ERROR_RANGES)
 
 
-@pytest.mark.parametrize("code", sorted(TEXTS))
+@pytest.mark.parametrize("code", sorted(ERRORS))
 def test_every_text_is_found_by_its_code(code):
-    assert error_text(code).startswith(TEXTS[code])
+    assert error_text(code).startswith(ERRORS[code])
 
 
 def test_the_register_is_told_bit_by_bit():
@@ -52,11 +51,11 @@ def test_the_register_is_told_bit_by_bit():
 
 def test_an_emergency_says_code_register_and_the_makers_data():
     emergency = Emergency(2, 0x8611, 0x21, b"\x01\x00\x00\x00\xff")
-    assert emergency_text(emergency) == (
+    assert str(emergency) == (
         "following error (8611h); error register: generic, device profile, data 01 00 00 00 ff"
     )
-    assert emergency_text(Emergency(2, 0x3220, 0, bytes(5))) == "DC link under-voltage (3220h)"
-    assert emergency_text(Emergency(2, 0, 0, bytes(5))) == "errors are gone (0000h)"
+    assert str(Emergency(2, 0x3220, 0, bytes(5))) == "DC link under-voltage (3220h)"
+    assert str(Emergency(2, 0, 0, bytes(5))) == "errors are gone (0000h)"
 
 
 def test_abort_codes_are_told_with_the_number_as_manuals_write_it():

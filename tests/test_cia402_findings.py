@@ -2,21 +2,21 @@
 
 import numpy as np
 
+from hil_drivers.cia402.can_cycle import Counts
 from hil_drivers.cia402.facts import limits_of
-from hil_drivers.cia402.findings import counted, outside_of
-from hil_drivers.cia402.node_watch import Counts
+from hil_drivers.cia402.findings import outside_of
 
 
 def test_what_has_gone_wrong_on_the_bus_is_told_with_its_number() -> None:
-    told = counted(Counts(missing=12, late=3, foreign=1))
+    told = str(Counts(missing=12, late=3, foreign=1))
     assert told == (
         "12 answers (TPDOs) missing, 3 of them late, 1 frames of nodes that are not ours"
     )
-    assert counted(Counts(doubled=2)) == "2 doubled"
+    assert str(Counts(doubled=2)) == "2 doubled"
 
 
 def test_a_bus_on_which_nothing_went_wrong_is_not_spoken_of() -> None:
-    assert counted(Counts()) == ""
+    assert str(Counts()) == ""
 
 
 def test_a_joint_outside_of_its_range_is_named_with_the_figures() -> None:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from hil.arms import load_arm
-from hil_drivers.cia402.drives import Drive
-from hil_drivers.cia402.gains import KV_PER_S, LOOP_RAD_S, gains_of
+from hil_drivers.cia402.commissioning import Drive
+from hil_drivers.cia402.player import KV_PER_S, LOOP_RAD_S, gains_of
 from hil_drivers.cia402.profile import AxisProfile
 
 ARM = load_arm("lab6")

@@ -8,11 +8,10 @@ from collections import deque
 import pytest
 
 from hil.can.frame import pack_frame, unpack_frame
-from hil_drivers.cia402.can_cyclic import CanCyclic
-from hil_drivers.cia402.contracts import Inputs, Outputs
-from hil_drivers.cia402.debts import CONFIRMED
-from hil_drivers.cia402.judging import Judge
+from hil_drivers.cia402.bus import Inputs, Outputs
+from hil_drivers.cia402.can_cycle import CONFIRMED, CanCyclic
 from hil_drivers.cia402.mapping import MINIMAL
+from hil_drivers.cia402.supervisor import Judge
 
 pytestmark = pytest.mark.quick
 
@@ -106,8 +105,7 @@ class Exchange:
 @pytest.fixture
 def exchange(monkeypatch: pytest.MonkeyPatch) -> Exchange:
     clock = Clock()
-    for module in ("can_cyclic", "collecting"):
-        monkeypatch.setattr(f"hil_drivers.cia402.{module}.time", clock)
+    monkeypatch.setattr("hil_drivers.cia402.can_cycle.time", clock)
     return Exchange(clock)
 
 

@@ -12,11 +12,10 @@ from test_cia402_can_cyclic import Cycles, all_answers, tpdo1
 
 from hil.can.frame import pack_frame
 from hil.core.errors import RobotConnectionError
-from hil_drivers.cia402.direct_stop import quick_stop_frames, stop_directly
-from hil_drivers.cia402.joining import Joined
-from hil_drivers.cia402.masters import require_no_master
+from hil_drivers.cia402.can_bus import CanBus
+from hil_drivers.cia402.can_channel import PythonCanPort
+from hil_drivers.cia402.can_cycle import quick_stop_frames, require_no_master, stop_directly
 from hil_drivers.cia402.options import Options, options_of
-from hil_drivers.cia402.ports import PythonCanPort
 
 pytestmark = pytest.mark.quick
 
@@ -83,7 +82,7 @@ def test_joining_a_bus_with_another_master_sends_nothing_and_says_so() -> None:
         thread.start()
         try:
             with pytest.raises(RobotConnectionError, match=r"another master.*SYNC \(080h\)"):
-                Joined(station(channel), [f"axis {n}" for n in range(6)])
+                CanBus(station(channel), [f"axis {n}" for n in range(6)])
         finally:
             over.set()
             thread.join()

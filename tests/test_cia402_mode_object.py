@@ -6,8 +6,8 @@ import pytest
 
 from hil.core.errors import CommandRefused
 from hil_drivers.cia402 import objects as od
+from hil_drivers.cia402.commissioning import set_mode
 from hil_drivers.cia402.mapping import MAPPINGS
-from hil_drivers.cia402.mode_object import carries_mode, set_mode
 
 
 class Modes:
@@ -33,7 +33,7 @@ class Modes:
 
 
 def test_only_the_minimal_mapping_lacks_the_mode():
-    assert {name for name, mapping in MAPPINGS.items() if not carries_mode(mapping)} == {"minimal"}
+    assert {name for name, mapping in MAPPINGS.items() if not mapping.carries_mode} == {"minimal"}
 
 
 def test_a_mode_that_was_left_in_the_drives_is_replaced_and_waited_for():

@@ -8,8 +8,7 @@ import pytest
 
 from hil.can.frame import pack_frame
 from hil.core.errors import SpecError
-from hil_drivers.cia402.bus_log import BusLog
-from hil_drivers.cia402.bus_options import SIMULATED
+from hil_drivers.cia402.can_channel import SIMULATED, BusLog
 from hil_drivers.cia402.options import options_of
 
 pytestmark = pytest.mark.quick

@@ -7,9 +7,8 @@ import pytest
 from cia402_parts import CSP, CST, PERIOD_S
 
 from hil.core.errors import CommandRefused
-from hil_drivers.cia402.contracts import Inputs, Outputs
-from hil_drivers.cia402.control import FADE_S, Gains
-from hil_drivers.cia402.player import HOLDING, MOVING, Player, Track
+from hil_drivers.cia402.bus import Inputs, Outputs
+from hil_drivers.cia402.player import FADE_S, HOLDING, MOVING, Gains, Player, Track
 
 pytestmark = pytest.mark.quick
 
@@ -200,14 +199,6 @@ def test_stop_of_an_arm_at_rest_does_nothing() -> None:
     play = Play(start=70)
     play.player.stop(1.0)
     assert play.steps(2) == [70, 70]
-
-
-def test_hold_keeps_the_set_point_commanded_last() -> None:
-    play = Play()
-    play.begin(track([0, 10, 20, 30]))
-    play.steps(2)
-    play.player.hold()
-    assert play.steps(2) == [10, 10]
 
 
 def test_positions_may_wrap_on_the_way() -> None:

@@ -15,7 +15,7 @@ from in_time import InTime, measured_again
 from hil.can.frame import ERROR, pack_frame, unpack_frame
 from hil.can.hosted_hub import hub_thread
 from hil.core.errors import RobotConnectionError
-from hil_drivers.cia402.ports import PythonCanPort, SocketPort, port_of
+from hil_drivers.cia402.can_channel import PythonCanPort, SocketPort, port_of
 
 FRAME = pack_frame(0x181, b"\x01\x02\x03")
 _numbers = itertools.count(1)

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from hil.core.errors import SpecError
-from hil_drivers.cia402.profile import PROFILES, AxisProfile, axis_profile
-from hil_drivers.cia402.scaling import Scaling
+from hil_drivers.cia402.profile import PROFILES, AxisProfile, Scaling, axis_profile
 
 # 1.27 N·m rated through a gear of 100: 6077h in ‰ is 0.127 N·m at the joint per count.
 MOTOR = AxisProfile(

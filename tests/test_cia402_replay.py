@@ -19,10 +19,9 @@ from hil.can.frame import Frame
 from hil.core.errors import DataError, PluginError
 from hil.importers.load import load_source
 from hil.workflow.replaying import replay
-from hil_drivers.cia402.bus_cycles import BusCycles
 from hil_drivers.cia402.mapping import INCOMPLETE, POSITION
 from hil_drivers.cia402.options import options_of
-from hil_drivers.cia402.replay import Replay
+from hil_drivers.cia402.replay import BusCycles, Replay
 
 NODES = range(1, 7)
 OPTIONS = {

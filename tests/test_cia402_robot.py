@@ -8,21 +8,23 @@ from hil.arms.payload import Payload
 from hil.core.errors import CommandRefused, RobotConnectionError, RobotFault, SpecError
 from hil.dynamics.robot_model import RobotModel
 from hil.robot import HasChecks, HasResource, HasTopics, Segment
-from hil_drivers.cia402.direct_stop import quick_stop_frames, stop_directly
-from hil_drivers.cia402.drives import Commissioned, Drive
+from hil_drivers.cia402.can_channel import open_bus
+from hil_drivers.cia402.can_cycle import quick_stop_frames, stop_directly
+from hil_drivers.cia402.commissioning import (
+    Commissioned,
+    Drive,
+    LeftFault,
+    declare,
+    require_resettable,
+)
 from hil_drivers.cia402.facts import capabilities_of, identity_of, limits_of
-from hil_drivers.cia402.left_faults import LeftFault, require_resettable
-from hil_drivers.cia402.opening import open_bus
 from hil_drivers.cia402.options import options_of
-from hil_drivers.cia402.payload_object import declare
-from hil_drivers.cia402.profile import AxisProfile
+from hil_drivers.cia402.player import track_of
+from hil_drivers.cia402.profile import AxisProfile, Scaling
 from hil_drivers.cia402.robot import Cia402Robot
 from hil_drivers.cia402.rows import TOPIC
-from hil_drivers.cia402.scaling import Scaling
-from hil_drivers.cia402.thermometer import Thermometer
-from hil_drivers.cia402.torque_model import TorqueModel
-from hil_drivers.cia402.tracks import track_of
-from hil_drivers.cia402.trouble import Trouble
+from hil_drivers.cia402.session import Thermometer, Trouble
+from hil_drivers.cia402.torque import TorqueModel
 
 pytestmark = pytest.mark.quick
 
@@ -52,7 +54,9 @@ class Asked:
     def __init__(self):
         self.axes = []
 
-    def read(self, entry, axes, within_s=0.0):
+    n = 3
+
+    def upload_each(self, entry, axes, within_s=0.0):
         self.axes.append(list(axes))
         return {}
 
@@ -77,10 +81,10 @@ def track(asked, standing=None, model=None, *, first=False):
 
 
 class Named:
-    """A session whose drives have names, and samples of which some axes have left none."""
+    """Drives that have names, and samples of which some axes have left none."""
 
     def __init__(self, *silent):
-        self.acyclic, self.silent = self, silent
+        self.silent = silent
 
     def name_of(self, axis):
         return f"joint_{axis + 1} (node {axis + 1})"
@@ -88,12 +92,13 @@ class Named:
 
 def test_when_no_cycle_is_complete_the_axes_that_do_not_answer_are_named():
     axes = Named(1, 3)
-    said = Trouble("arm", axes, axes).silence(1.0).message
+    said = Trouble("arm", None, axes, axes).silence(1.0).message
     assert said == "arm: no answer from joint_2 (node 2), joint_4 (node 4) within 1 s"
 
 
 def test_when_there_is_no_cycle_no_axis_is_blamed():
-    assert "no cycle was over within 1 s" in Trouble("arm", Named(), Named()).silence(1.0).message
+    trouble = Trouble("arm", None, Named(), Named())
+    assert "no cycle was over within 1 s" in trouble.silence(1.0).message
 
 
 # -- before anybody connects
@@ -315,7 +320,7 @@ def test_a_load_is_declared_to_the_first_drive_and_read_back():
 
 def test_temperatures_are_asked_in_turns():
     drives = Asked()
-    thermometer = Thermometer(drives, 0x2110, 3)
+    thermometer = Thermometer(drives, 0x2110)
     thermometer.ask_all()
     for _ in range(4):
         thermometer.look()
@@ -325,7 +330,7 @@ def test_temperatures_are_asked_in_turns():
 
 def test_drives_that_tell_no_temperature_are_not_asked():
     drives = Asked()
-    thermometer = Thermometer(drives, 0, 3)
+    thermometer = Thermometer(drives, 0)
     thermometer.ask_all()
     thermometer.look()
     assert drives.axes == []

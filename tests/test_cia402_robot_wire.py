@@ -32,7 +32,7 @@ from hil.robot import Robot, Status
 from hil.testing.moves import begin, follow, move, settle
 from hil_drivers.cia402.__main__ import main
 from hil_drivers.cia402.axes_robot import AxesRobot
-from hil_drivers.cia402.direct_stop import stop_directly
+from hil_drivers.cia402.can_cycle import stop_directly
 from hil_drivers.cia402.options import options_of
 from hil_drivers.cia402.robot import Cia402Robot
 from hil_drivers.cia402.rows import TOPIC
@@ -205,7 +205,7 @@ def test_a_direct_stop_stops_a_master_that_goes_on_commanding(mock, axes) -> Non
 def test_one_axis_that_fails_stops_all_and_the_message_says_who_and_why(
     mock, axes, monkeypatch
 ) -> None:
-    monkeypatch.setattr("hil_drivers.cia402.trouble.ASKED_S", 5.0)  # however busy this computer is
+    monkeypatch.setattr("hil_drivers.cia402.session.ASKED_S", 5.0)  # however busy this computer is
     begin(axes, move(axes, 0.8))
     mock.tell("fault", kind="following_error", axis=3)
     error = until_it_raises(axes)

@@ -6,9 +6,8 @@ import pytest
 from hil.robot import Status, state_dtype
 from hil.robot.state import Topic
 from hil_drivers.cia402.mapping import ALL_MODES, LATE, MAPPINGS, POSITION, STALLED, cycle_dtype
-from hil_drivers.cia402.profile import AxisProfile
+from hil_drivers.cia402.profile import AxisProfile, Scaling
 from hil_drivers.cia402.rows import TOPIC, StateRows, raw_rows, raw_topic, told
-from hil_drivers.cia402.scaling import Scaling
 
 N = 2
 PERIOD_S = 0.004

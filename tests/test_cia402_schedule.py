@@ -6,8 +6,7 @@ import itertools
 
 import pytest
 
-from hil_drivers.cia402.histogram import Histogram
-from hil_drivers.cia402.schedule import FREE_IMPATIENCE_S, FREE_PATIENCE_S, Schedule
+from hil_drivers.cia402.timing import FREE_IMPATIENCE_S, FREE_PATIENCE_S, Histogram, Schedule
 
 PERIOD_S = 0.004
 

@@ -6,8 +6,7 @@ import itertools
 
 import pytest
 
-from hil_drivers.cia402.states import (
-    PATH,
+from hil_drivers.cia402.axis import (
     Goal,
     State,
     controlword_resetting,
@@ -63,6 +62,9 @@ def test_every_statusword_tells_the_state_of_its_pattern():
         bits = "".join(str(word >> bit & 1) for bit in (6, 5, 3, 2, 1, 0))
         expected = [state for pattern, state in PATTERNS.items() if matches(bits, pattern)]
         assert [state_of(word)] == (expected or [State.UNKNOWN]), f"{word:04X}h"
+
+
+PATH = (State.DISABLED, State.READY, State.SWITCHED_ON, State.ENABLED)
 
 
 @pytest.mark.parametrize("start", PATH)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from cia402_parts import CSP, CST, PERIOD_S, Rig
 
-from hil_drivers.cia402.contracts import Inputs
+from hil_drivers.cia402.axis import LATENCY, Tracking
+from hil_drivers.cia402.bus import Inputs
 from hil_drivers.cia402.supervisor import Phase
-from hil_drivers.cia402.torque_check import Weighed
-from hil_drivers.cia402.tracking import LATENCY, Tracking
+from hil_drivers.cia402.torque import Weighed
 
 pytestmark = pytest.mark.quick
 

@@ -12,7 +12,7 @@ from cia402_drives import drives
 
 from hil.core.errors import RobotFault
 from hil.robot import Status
-from hil_drivers.cia402.trouble import Trouble
+from hil_drivers.cia402.session import Trouble
 from hil_mock_robot.cia402.contracts import key
 
 pytestmark = pytest.mark.quick
@@ -22,11 +22,9 @@ ROWS = np.array([(0,)], dtype=[("status", "<u2")])
 
 def trouble_of(line: Any, problem: str, **samples: Any) -> Trouble:
     told = [problem, ""]
-    core = SimpleNamespace(take_problem=lambda: told.pop(0) if told else "")
-    options = SimpleNamespace(nodes=range(1, len(line.nodes) + 1))
-    session: Any = SimpleNamespace(core=core, acyclic=line.master, options=options)
-    samples = {"faulty": [], "silent": []} | samples
-    return Trouble("arm", session, SimpleNamespace(**samples))  # type: ignore[arg-type]
+    core: Any = SimpleNamespace(take_problem=lambda: told.pop(0) if told else "")
+    of_cycles: Any = SimpleNamespace(**({"faulty": [], "silent": []} | samples))
+    return Trouble("arm", core, line.master, of_cycles)
 
 
 def test_axes_that_process_data_do_not_reach_are_stopped_by_objects() -> None:

@@ -12,10 +12,10 @@ from collections.abc import Callable
 from benchmarks.can_bus.ending import until_over
 from hil.can.frame import Frame
 from hil.can.hub import Hub
-from hil_drivers.cia402.mapping import POSITION, SYNC_COB_ID, rpdo_cob_id, tpdo_cob_id
-from hil_drivers.cia402.node_watch import HEARTBEAT_COB_ID
+from hil_drivers.cia402.can_channel import HEARTBEAT_COB_ID, SYNC_COB_ID, rpdo_cob_id, tpdo_cob_id
+from hil_drivers.cia402.mapping import POSITION
 from hil_drivers.cia402.objects import CSP
-from hil_drivers.cia402.realtime import realtime
+from hil_drivers.cia402.timing import realtime
 
 NODES = (1, 2, 3, 4, 5, 6)
 BEAT_S = 0.1

@@ -6,7 +6,7 @@ import sys
 
 from benchmarks.can_bus.ending import forbid_priority, until_over
 from hil.can.hub import Hub
-from hil_drivers.cia402.realtime import realtime
+from hil_drivers.cia402.timing import realtime
 
 
 def main(channel: str, *how: str) -> None:

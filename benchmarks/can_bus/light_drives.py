@@ -15,12 +15,19 @@ import can
 from benchmarks.can_bus.drives import BEAT_S, DISABLED, NODES, OPERATIONAL, STATUSWORDS
 from benchmarks.can_bus.ending import forbid_priority, until_over
 from hil.can.frame import FRAME, pack_frame
-from hil_drivers.cia402.bursts import receiving, sending
-from hil_drivers.cia402.mapping import POSITION, SYNC_COB_ID, Pdo, rpdo_cob_id, tpdo_cob_id
-from hil_drivers.cia402.node_watch import HEARTBEAT_COB_ID
+from hil_drivers.cia402.can_channel import (
+    HEARTBEAT_COB_ID,
+    SYNC_COB_ID,
+    FramePort,
+    port_of,
+    receiving,
+    rpdo_cob_id,
+    sending,
+    tpdo_cob_id,
+)
+from hil_drivers.cia402.mapping import POSITION, Pdo
 from hil_drivers.cia402.objects import CSP
-from hil_drivers.cia402.ports import FramePort, port_of
-from hil_drivers.cia402.realtime import realtime
+from hil_drivers.cia402.timing import realtime
 
 _HEAD_BYTES = 5
 

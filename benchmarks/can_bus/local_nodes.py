@@ -16,9 +16,10 @@ import canopen
 from benchmarks.can_bus.drives import DISABLED, NODES, STATUSWORDS
 from benchmarks.can_bus.ending import forbid_priority, until_over
 from benchmarks.can_bus.maps import dictionary, lay_out
-from hil_drivers.cia402.mapping import POSITION, SYNC_COB_ID, rpdo_cob_id, tpdo_cob_id
+from hil_drivers.cia402.can_channel import SYNC_COB_ID, rpdo_cob_id, tpdo_cob_id
+from hil_drivers.cia402.mapping import POSITION
 from hil_drivers.cia402.objects import CSP
-from hil_drivers.cia402.realtime import realtime
+from hil_drivers.cia402.timing import realtime
 
 
 class Drive:

@@ -14,15 +14,14 @@ import numpy as np
 
 from benchmarks.can_bus.drives import NODES
 from benchmarks.can_bus.timing import SETTLE_S, Stretch, Times, swing, tell
-from hil_drivers.cia402.can_cyclic import CanCyclic
-from hil_drivers.cia402.contracts import Inputs, Outputs
+from hil_drivers.cia402.bus import Inputs, Outputs
+from hil_drivers.cia402.can_channel import FramePort, port_of
+from hil_drivers.cia402.can_cycle import CanCyclic
 from hil_drivers.cia402.core import Core
 from hil_drivers.cia402.mapping import POSITION
 from hil_drivers.cia402.objects import CSP
-from hil_drivers.cia402.player import Player
-from hil_drivers.cia402.ports import FramePort, port_of
+from hil_drivers.cia402.player import Player, Track
 from hil_drivers.cia402.supervisor import Supervisor
-from hil_drivers.cia402.track import Track
 
 RAD_PER_INCREMENT = 2.0 * math.pi / 2**20 / 100.0
 

@@ -21,10 +21,11 @@ from benchmarks.can_bus.drives import NODES
 from benchmarks.can_bus.local_nodes import Drive
 from benchmarks.can_bus.maps import dictionary, lay_out
 from benchmarks.can_bus.timing import SETTLE_S, Stretch, Times, swing, tell
-from hil_drivers.cia402.mapping import POSITION, rpdo_cob_id, tpdo_cob_id
+from hil_drivers.cia402.axis import ENABLE
+from hil_drivers.cia402.can_channel import rpdo_cob_id, tpdo_cob_id
+from hil_drivers.cia402.mapping import POSITION
 from hil_drivers.cia402.objects import CSP
-from hil_drivers.cia402.realtime import realtime
-from hil_drivers.cia402.states import ENABLE
+from hil_drivers.cia402.timing import realtime
 
 
 class Master:

@@ -11,8 +11,7 @@ import numpy as np
 
 from benchmarks.can_bus.ending import forbid_priority
 from hil.core.typing import IntArray
-from hil_drivers.cia402.histogram import Histogram
-from hil_drivers.cia402.schedule import Schedule
+from hil_drivers.cia402.timing import Histogram, Schedule
 
 SETTLE_S = 0.4
 """From the first cycles to what is measured [s]."""

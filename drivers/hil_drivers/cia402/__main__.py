@@ -5,17 +5,17 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 
 from hil.arms import load_arm
 from hil.core import HilError, SpecError
 from hil.robot import leased
 from hil.spec import StationRobot, load_station
-from hil_drivers.cia402.joining import Joined
-from hil_drivers.cia402.left_faults import LeftFault, faults_left, reset
+from hil_drivers.cia402.bus import pumping
+from hil_drivers.cia402.can_bus import CanBus
+from hil_drivers.cia402.commissioning import faults_left, reset, unwatch
 from hil_drivers.cia402.options import options_of
-from hil_drivers.cia402.parting import unwatch
-from hil_drivers.cia402.pumping import pumping
 from hil_drivers.cia402.robot import Cia402Robot
 
 
@@ -34,28 +34,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _reset(station: Path, name: str) -> int:
+    """Reset all; returns 1 where a fault is still there."""
     entry = _entry(station, name)
     robot = Cia402Robot(name, entry.model, **entry.options)
-    with leased(robot, name=name, driver=entry.driver, station=str(station)):
-        left = _left(entry)
-    return 1 if left else 0
-
-
-def _left(entry: StationRobot) -> list[LeftFault]:
-    """Reset all; returns the faults that are still there."""
-    joined = Joined(options_of(entry.options, entry.model), load_arm(entry.model).joint_names)
-    try:
-        with pumping(joined.cyclic):
-            faults = faults_left(joined.acyclic)
-            left = [fault for fault in faults if not reset(joined.acyclic, fault)]
-            unwatch(joined.acyclic)  # else the end of this would be the next fault
-    finally:
-        joined.leave()
+    options, names = options_of(entry.options, entry.model), load_arm(entry.model).joint_names
+    with (
+        leased(robot, name=name, driver=entry.driver, station=str(station)),
+        closing(CanBus(options, names)) as bus,
+        pumping(bus.cyclic),
+    ):
+        faults = faults_left(bus.acyclic)
+        left = [fault for fault in faults if not reset(bus.acyclic, fault)]
+        unwatch(bus.acyclic)  # else the end of this would be the next fault
     for fault in faults:
         print(f"{fault}: {'still there' if fault in left else 'reset'}")  # noqa: T201
     if not faults:
         print("no drive is in fault")  # noqa: T201
-    return left
+    return 1 if left else 0
 
 
 def _entry(station: Path, name: str) -> StationRobot:

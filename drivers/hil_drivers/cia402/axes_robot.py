@@ -1,4 +1,9 @@
-"""The arm in the process that owns the bus: a `hil.robot.Robot` of as many drives as joints."""
+"""The arm in the process that owns the bus: a `hil.robot.Robot` of as many drives as joints.
+
+It turns the calls of `hil.robot.Robot` into those of a `Session` and decides which field bus that
+gets. A stop may come from another thread at any moment, also while the drives are being connected
+or a segment is prepared: `_stops` counts them, and whatever was begun before one is refused.
+"""
 
 from __future__ import annotations
 
@@ -6,21 +11,20 @@ import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from hil.arms import Payload
+from hil.arms import Payload, load_arm
 from hil.core import CommandRefused, RobotFault, RobotTimeout, StructArray
 from hil.robot import Address, Capabilities, Finding, Identity, Limits, Segment, Topic
 from hil_drivers.arm import not_connected, nothing_prepared, require_liftable
-from hil_drivers.cia402.drives import Commissioned
+from hil_drivers.cia402.can_bus import CanBus
+from hil_drivers.cia402.commissioning import Commissioned, declare
 from hil_drivers.cia402.facts import capabilities_of, identity_of, limits_of
 from hil_drivers.cia402.findings import findings_of
-from hil_drivers.cia402.line import Line, line_to
 from hil_drivers.cia402.mapping import MAPPINGS
 from hil_drivers.cia402.options import options_of
-from hil_drivers.cia402.payload_object import declare
+from hil_drivers.cia402.player import track_of
 from hil_drivers.cia402.rows import raw_topic
-from hil_drivers.cia402.torque_model import GRAVITY, TorqueModel
-from hil_drivers.cia402.tracks import track_of
-from hil_drivers.cia402.trouble import NEXT
+from hil_drivers.cia402.session import NEXT, Session
+from hil_drivers.cia402.torque import GRAVITY, TorqueModel
 
 REST_S = 2.0
 """How long an arm that was stopped is waited for before its axes are switched off [s]."""
@@ -45,7 +49,7 @@ class AxesRobot:
         self._topic = raw_topic(
             MAPPINGS[self._options.mapping], len(self._options.nodes), self._options.rate_hz
         )
-        self._line: Line | None = None
+        self._session: Session | None = None
         self._prepared = False
         self._has_moved = False
         self._stops = 0
@@ -63,7 +67,7 @@ class AxesRobot:
     @property
     def identity(self) -> Identity:
         """See `hil.robot.Robot`."""
-        session = self._connected().session
+        session = self._connected()
         return identity_of(self._model, session.drives, session.were_reset)
 
     @property
@@ -83,14 +87,14 @@ class AxesRobot:
 
     def drain(self) -> Mapping[str, StructArray]:
         """See `hil.robot.HasTopics`."""
-        return self._line.samples.drain() if self._line else {}
+        return self._session.samples.drain() if self._session else {}
 
     def checks(self) -> Sequence[Finding]:
         """See `hil.robot.HasChecks`."""
-        line = self._healthy()
-        model = line.torque or TorqueModel(self._model, self._options.urdf, self._gravity)
+        session = self._healthy()
+        model = session.torque or TorqueModel(self._model, self._options.urdf, self._gravity)
         model.mount(self._payload)
-        return list(findings_of(line.session, model))
+        return list(findings_of(session, model))
 
     def set_gravity(self, gravity_m_s2: tuple[float, float, float]) -> None:
         """Gravity in the base frame, for the torque model; before `connect`."""
@@ -103,7 +107,7 @@ class AxesRobot:
             RobotConnectionError, RobotFault, RobotTimeout: See `Session`.
             CommandRefused: Likewise; or `stop` came meanwhile, and the axes are off.
         """
-        if self._line is not None and not self._line.trouble.is_there:
+        if self._session is not None and not self._session.trouble.is_there:
             return
         stops = self._stops
         self.close()
@@ -121,17 +125,20 @@ class AxesRobot:
                 raise CommandRefused("stopped while connecting", hint="connect again")
 
         self._payload, self._has_moved = Payload(), False
-        line = self._line = line_to(
-            self._name, self._model, self._options, self._topic, self._gravity
-        )
+        self._session = self._join()
         try:
-            line.session.begin(go_on, line.look)
+            self._session.begin(go_on)
         except CommandRefused:
             go_on()
             raise
-        line.thermometer.ask_all()
-        line.samples.forget()
-        go_on()
+
+    def _join(self) -> Session:
+        """Join the bus and set all drives up; nothing moves, no axis is enabled yet."""
+        options, arm = self._options, load_arm(self._model)
+        needed = options.feed_forward or options.trajectory_mode == "cst"
+        torque = TorqueModel(self._model, options.urdf, self._gravity) if needed else None
+        bus = CanBus(options, arm.joint_names)
+        return Session(self._name, arm, options, bus, self._topic, torque)
 
     def set_payload(self, payload: Payload) -> Payload:
         """Keep a load for the torque model; declare it to drives that have an object for it.
@@ -139,17 +146,17 @@ class AxesRobot:
         Raises:
             CommandRefused: It is too heavy, the arm is moving, or a drive does not take it.
         """
-        line = self._healthy()
+        session = self._healthy()
         require_liftable(payload, self.limits)
-        if line.session.player.moving:
+        if session.player.moving:
             raise CommandRefused("a load is declared at rest", hint="read until the arm holds")
         told = payload
         if self._options.payload_object:
-            told = declare(line.session.acyclic, self._options.payload_object, payload)
+            told = declare(session.acyclic, self._options.payload_object, payload)
         self._payload = payload
-        if line.torque is not None:
-            line.torque.mount(payload)
-            line.hold_anew()
+        if session.torque is not None:
+            session.torque.mount(payload)
+            session.hold_anew()
         return told
 
     def prepare(self, segment: Segment) -> None:
@@ -159,20 +166,20 @@ class AxesRobot:
             CommandRefused: It leaves the limits, jumps, moves at its ends, or begins elsewhere.
             RobotFault: The arm does not obey any more.
         """
-        line, stops = self._healthy(), self._stops
+        session, stops = self._healthy(), self._stops
         self._prepared = False
-        scaling = line.session.drives.scaling
+        scaling = session.drives.scaling
         track = track_of(
             segment,
             self.limits,
-            scaling.position(line.session.player.position),
+            scaling.position(session.player.position),
             self._options.rate_hz,
             scaling,
-            line.torque,
+            session.torque,
             led=self._options.trajectory_mode != "csp",
             first=not self._has_moved,
         )
-        line.session.core.prepare(track)
+        session.core.prepare(track)
         self._prepared = stops == self._stops
         if not self._prepared:  # a stop that has come meanwhile holds
             raise CommandRefused("stopped while it was prepared", hint="prepare it again")
@@ -184,11 +191,11 @@ class AxesRobot:
             CommandRefused: Nothing is prepared, or a motion is still on.
             RobotFault: The arm does not obey any more.
         """
-        line = self._healthy()
+        session = self._healthy()
         prepared, self._prepared = self._prepared, False
         if not prepared:
             raise nothing_prepared()
-        line.session.core.start()
+        session.core.start()
         self._has_moved = True
 
     def read(self, timeout_s: float = 1.0) -> StructArray:
@@ -202,49 +209,49 @@ class AxesRobot:
             RobotFault: An axis has failed, and all were stopped.
             RobotConnectionError: The bus is gone.
         """
-        line = self._connected()
+        session = self._connected()
         until = time.monotonic() + timeout_s
         while True:
-            line.trouble.raise_it()
+            session.trouble.raise_it()
             try:
-                rows = line.samples.take(max(until - time.monotonic(), 0.0))
+                rows = session.samples.take(max(until - time.monotonic(), 0.0))
             except RobotTimeout:
-                raise line.trouble.silence(timeout_s) from None
-            line.trouble.look(rows)
+                raise session.trouble.silence(timeout_s) from None
+            session.trouble.look(rows)
             if len(rows):
                 break
-        if not line.trouble.is_there:
-            line.thermometer.look()
-        line.session.flush()
+        if not session.trouble.is_there:
+            session.thermometer.look()
+        session.bus.flush()
         return rows
 
     def stop(self) -> None:
         """Ramp down along the way, with the next cycle, and hold; from any thread."""
         self._stops += 1
         self._prepared = False
-        line = self._line
-        if line is not None:
-            line.session.core.stop(self._options.stop_rad_s2)
+        session = self._session
+        if session is not None:
+            session.core.stop(self._options.stop_rad_s2)
 
     def close(self) -> None:
         """Stop, switch all axes off, leave the bus."""
-        line, self._line = self._line, None
+        session, self._session = self._session, None
         self._prepared = False
-        if line is not None:
-            line.session.leave(rest_s=0.0 if line.trouble.is_there else REST_S)
+        if session is not None:
+            session.leave(rest_s=0.0 if session.trouble.is_there else REST_S)
 
     @property
     def _drives(self) -> Commissioned | None:
-        return self._line.session.drives if self._line else None
+        return self._session.drives if self._session else None
 
-    def _connected(self) -> Line:
-        if self._line is None:
+    def _connected(self) -> Session:
+        if self._session is None:
             raise not_connected(self._name)
-        return self._line
+        return self._session
 
-    def _healthy(self) -> Line:
-        line = self._connected()
-        if line.trouble.is_there:
-            said = f"{self._name} does not obey since a fault: {line.trouble.said}"
+    def _healthy(self) -> Session:
+        session = self._connected()
+        if session.trouble.is_there:
+            said = f"{self._name} does not obey since a fault: {session.trouble.said}"
             raise RobotFault(said, hint=NEXT)
-        return line
+        return session

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 
 from hil.robot import Capabilities, Identity, Limits
 from hil_drivers import arm
-from hil_drivers.cia402.drives import Commissioned
-from hil_drivers.cia402.left_faults import LeftFault
+from hil_drivers.cia402.commissioning import Commissioned, LeftFault
 from hil_drivers.cia402.options import Options
 
 GAINS = "rated torque and current of the drives (6075h, 6076h) times gear, or the station's"

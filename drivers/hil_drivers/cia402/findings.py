@@ -8,18 +8,14 @@ import numpy as np
 
 from hil.core import FloatArray
 from hil.robot import Finding, Limits
-from hil_drivers.cia402.bus_load import MOST_CYCLIC, load_of
-from hil_drivers.cia402.commissioning import MASTER_SILENCE_MS
+from hil_drivers.cia402.bus import MASTER_SILENCE_MS
 from hil_drivers.cia402.facts import limits_of
 from hil_drivers.cia402.mapping import MAPPINGS
-from hil_drivers.cia402.mode_object import carries_mode
-from hil_drivers.cia402.node_watch import Counts
 from hil_drivers.cia402.options import Options
 from hil_drivers.cia402.session import Session
 from hil_drivers.cia402.supervisor import Phase
-from hil_drivers.cia402.torque_check import HINT as TORQUE_HINT
-from hil_drivers.cia402.torque_check import weigh
-from hil_drivers.cia402.torque_model import TorqueModel
+from hil_drivers.cia402.torque import HINT as TORQUE_HINT
+from hil_drivers.cia402.torque import TorqueModel
 
 HOTTEST_C = 90.0
 """Motors hotter than this are not moved: windings stand 120 to 155 °C, grease and sensors less."""
@@ -40,7 +36,7 @@ def findings_of(session: Session, model: TorqueModel) -> Iterator[Finding]:
     """
     yield _drives(session)
     yield _enabled(session)
-    yield _bus_load(session.options)
+    yield session.bus.load()
     yield _scaling(session)
     yield _limits(session)
     yield _torque(session)
@@ -78,23 +74,9 @@ def _enabled(session: Session) -> Finding:
 
 
 def _mode_read(options: Options) -> str:
-    if carries_mode(MAPPINGS[options.mapping]):
+    if MAPPINGS[options.mapping].carries_mode:
         return "6061h, read back in every cycle"
     return f"6061h, read back before enabling; mapping {options.mapping} does not carry it since"
-
-
-def _bus_load(options: Options) -> Finding:
-    n, bitrate = len(options.nodes), options.bus.bitrate
-    load = load_of(MAPPINGS[options.mapping], n, options.rate_hz, bitrate)
-    said = f"{n} axes at {options.rate_hz:g} Hz, mapping {options.mapping}: {load}, "
-    return Finding(
-        "bus-load",
-        load.fits,
-        f"{said}{load.total.worst:.0%} with all else, at {bitrate / 1000:g} kbit/s",
-        round(load.cyclic.worst, 4),
-        MOST_CYCLIC,
-        "lower rate_hz, or use a smaller mapping",
-    )
 
 
 def _scaling(session: Session) -> Finding:
@@ -159,7 +141,7 @@ def _torque(session: Session) -> Finding:
 
 def _weight(session: Session, model: TorqueModel) -> Finding:
     """Whether measured torque can be what holds the arm; it has to where we send torques."""
-    weighed = weigh(session, model) if session.core.phase is Phase.ENABLED else None
+    weighed = session.weighed(model) if session.core.phase is Phase.ENABLED else None
     if weighed is None:
         said = f"not compared with the arm's weight: mapping {session.options.mapping}, axes "
         return Finding("torque-sign", True, said + session.core.phase.value, "not compared")
@@ -211,20 +193,7 @@ def _cycle(session: Session) -> Finding:
         f"{schedule.cycles} cycles, {late:.1%} overrun, woken within {1e6 * p99:.0f} µs (99 %); "
         + ("; ".join(refused) or "real-time priority is permitted")
     )
-    if wrong := counted(session.counts):
+    if wrong := session.bus.losses():
         said += f"; {wrong}"
     hint = "free the computer of other work, permit real-time priority, or lower rate_hz"
     return Finding("cycle", late <= MOST_OVERRUN, said, round(late, 4), MOST_OVERRUN, hint)
-
-
-def counted(counts: Counts) -> str:
-    """What has gone wrong on the bus so far, in words; empty when nothing has."""
-    told = (
-        ("answers (TPDOs) missing", counts.missing),
-        ("of them late", counts.late),
-        ("doubled", counts.doubled),
-        ("of another length than mapped", counts.malformed),
-        ("frames of nodes that are not ours", counts.foreign),
-        ("without room in a queue", counts.overflows),
-    )
-    return ", ".join(f"{number} {what}" for what, number in told if number)

@@ -1,4 +1,9 @@
-"""Which objects travel in which PDO, and the records that they make."""
+"""Process data: which objects travel in which PDO, and the record that one cycle leaves behind.
+
+A mapping says what all axes get and answer in every cycle. On CAN a PDO is one frame of up to eight
+bytes per axis, which is why the layouts below look the way they do; a bus with room for more
+carries the same PDOs in one datagram. Where they go on CAN (COB-IDs) is said in `can_cycle`.
+"""
 
 from __future__ import annotations
 
@@ -11,11 +16,6 @@ import numpy as np
 
 from hil_drivers.cia402 import objects as od
 
-RPDO_COB_IDS = (0x200, 0x300, 0x400, 0x500)
-TPDO_COB_IDS = (0x180, 0x280, 0x380, 0x480)
-"""Predefined connection set: plus the node's id (CiA 301)."""
-
-SYNC_COB_ID = 0x080
 MOST_BYTES = 8
 
 LATE = 1 << 30
@@ -85,6 +85,16 @@ class Mapping:
         """To and from the drive."""
         return self.rpdos + self.tpdos
 
+    @cached_property
+    def entries(self) -> tuple[od.Entry, ...]:
+        """All objects that travel, in the order in which they do."""
+        return tuple(entry for pdo in self.pdos for entry in pdo.entries)
+
+    @property
+    def carries_mode(self) -> bool:
+        """Whether 6060h and 6061h travel with every cycle."""
+        return {od.MODE, od.MODE_DISPLAY} <= set(self.entries)
+
 
 _NUMPY = {"b": "i1", "B": "u1", "h": "i2", "H": "u2", "i": "i4", "I": "u4"}
 
@@ -114,21 +124,11 @@ MINIMAL = Mapping(
 MAPPINGS = {mapping.name: mapping for mapping in (POSITION, ALL_MODES, MINIMAL)}
 
 
-def rpdo_cob_id(number: int, node: int) -> int:
-    """COB-ID of an RPDO (number from 1) of a node."""
-    return RPDO_COB_IDS[number - 1] + node
-
-
-def tpdo_cob_id(number: int, node: int) -> int:
-    """COB-ID of a TPDO (number from 1) of a node."""
-    return TPDO_COB_IDS[number - 1] + node
-
-
 def cycle_dtype(mapping: Mapping, n: int) -> np.dtype[Any]:
     """What one cycle leaves behind, as it went over the wire.
 
-    Fields: `cycle` (number of its SYNC, from 0), `host_time` (Unix time at which the SYNC was
-    sent), `segment` and `status` (what the master announced, see `marker`), `fault_code` (of the
+    Fields: `cycle` (its number, from 0), `host_time` (Unix time at which its SYNC was
+    sent), `segment` and `status` (what the master announced with it), `fault_code` (of the
     EMCY that the first faulty axis sent, 0 without a fault), `flags` (`INCOMPLETE`, `STALLED`,
     `LATE`), then the eight bytes of each PDO, `rpdo` (R, n, 8) as sent after this SYNC and `tpdo`
     (T, n, 8) as answered to it, and `temperature` (n,) [°C], the newest known at the SYNC, NaN

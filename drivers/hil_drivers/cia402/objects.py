@@ -1,9 +1,16 @@
-"""The objects of CiA 301 and CiA 402 that the driver reads and writes (docs: cia402-objects)."""
+"""The object dictionary of CiA 301 and CiA 402, as far as the driver uses it.
+
+First the objects (docs/reference/cia402-objects.md), then what the numbers in them mean: error
+codes (EMCY messages, 603Fh, 1003h), the error register (1001h), and the codes with which a drive
+aborts a request. The same objects, types and codes travel over CAN (SDO) and EtherCAT (CoE).
+"""
 
 from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+
+from hil.core import CommandRefused
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +60,6 @@ VENDOR = Entry("vendor", 0x1018, 1, "I")
 PRODUCT = Entry("product", 0x1018, 2, "I")
 REVISION = Entry("revision", 0x1018, 3, "I")
 SERIAL = Entry("serial", 0x1018, 4, "I")
-
 ABORT_CONNECTION_OPTION = Entry("abort_connection_option", 0x6007, 0, "h")
 ERROR_CODE = Entry("error_code", 0x603F, 0, "H")
 CONTROLWORD = Entry("controlword", 0x6040, 0, "H")
@@ -86,13 +92,226 @@ INTERPOLATION_VALUE = Entry("interpolation_value", 0x60C2, 1, "B")
 INTERPOLATION_INDEX = Entry("interpolation_index", 0x60C2, 2, "b")
 TARGET_VELOCITY = Entry("target_velocity", 0x60FF, 0, "i", "as velocity")
 SUPPORTED_MODES = Entry("supported_modes", 0x6502, 0, "I")
-
 ERROR_COUNT = Entry("error_count", 0x1003, 0, "B")
 TORQUE_SCALING = Entry("torque_scaling", 0x2002, 0x54, "I", "EL72xx: 0 peak, 1 rms current")
 TORQUE_CONSTANT = Entry("torque_constant", 0x2003, 0x16, "I", "EL72xx: mN·m/A")
 
 CSP, CSV, CST = 8, 9, 10
 """Modes of operation (6060h) that take a new set-point with every SYNC."""
+
 MODE_BITS = {CSP: 7, CSV: 8, CST: 9}
 """Their bits in 6502h."""
+
 MODE_NAMES = {CSP: "csp", CSV: "csv", CST: "cst"}
+
+ERRORS = {
+    0x1000: "generic error",
+    0x2110: "short circuit or earth fault at the input",
+    0x2211: "over-current at the input",
+    0x2220: "continuous over-current inside",
+    0x2230: "short circuit or earth fault inside",
+    0x2250: "short circuit inside",
+    0x2310: "continuous over-current at the output",
+    0x2320: "short circuit or earth fault at the output",
+    0x2330: "earth fault at the output",
+    0x2340: "short circuit at the output",
+    0x2350: "I²t of the motor",
+    0x3110: "mains over-voltage",
+    0x3120: "mains under-voltage",
+    0x3130: "mains phase lost",
+    0x3210: "DC link over-voltage",
+    0x3220: "DC link under-voltage",
+    0x3230: "load error",
+    0x3310: "output over-voltage",
+    0x4110: "surroundings too hot",
+    0x4120: "surroundings too cold",
+    0x4210: "device too hot",
+    0x4220: "device too cold",
+    0x4310: "drive or motor too hot",
+    0x4320: "drive or motor too cold",
+    0x4410: "supply too hot",
+    0x5112: "24 V supply too low",
+    0x5400: "power section",
+    0x5441: "safe torque off, or the enable contact is open",
+    0x5510: "memory",
+    0x5530: "data in non-volatile memory",
+    0x6010: "watchdog of the firmware",
+    0x6310: "loss of parameters",
+    0x6320: "wrong parameters",
+    0x7110: "brake chopper",
+    0x7121: "motor blocked",
+    0x7122: "motor or its commutation",
+    0x7180: "holding brake",
+    0x7300: "sensor",
+    0x7303: "resolver 1",
+    0x7305: "encoder 1",
+    0x7306: "encoder 2",
+    0x7310: "overspeed",
+    0x7320: "position sensor",
+    0x7500: "communication with a part inside",
+    0x8110: "CAN frames lost (overrun)",
+    0x8120: "CAN controller error passive",
+    0x8130: "heartbeat of the master lost",
+    0x8140: "recovered from bus-off",
+    0x8150: "two nodes with one COB-ID",
+    0x8210: "PDO of the wrong length, not used",
+    0x8220: "PDO too long",
+    0x8240: "SYNC of the wrong length",
+    0x8250: "time-out of an RPDO",
+    0x8311: "excess torque",
+    0x8312: "difficult start-up",
+    0x8313: "standstill torque",
+    0x8321: "insufficient torque",
+    0x8331: "torque fault",
+    0x8400: "velocity controller",
+    0x8480: "velocity control: error too large",
+    0x8500: "position controller",
+    0x8611: "following error",
+    0x8612: "reference limit: set-point out of range",
+    0x8700: "sync controller: SYNC or set-points came at the wrong time, or not at all",
+    0x9000: "external error",
+    0xF001: "deceleration",
+    0xF002: "sub-synchronous run",
+    0xF003: "stroke operation",
+    0xF004: "control",
+}
+"""By code."""
+
+ERROR_RANGES = (
+    (0xFFF0, 0x2310, "over-current at the output"),
+    (0xFFF0, 0x3210, "DC link over-voltage"),
+    (0xFFF0, 0x3220, "DC link under-voltage"),
+    (0xFFF0, 0x8610, "positioning controller"),
+    (0xFF00, 0x2100, "current at the input"),
+    (0xFF00, 0x2200, "current inside the device"),
+    (0xFF00, 0x2300, "current at the output"),
+    (0xFF00, 0x3100, "mains voltage"),
+    (0xFF00, 0x3200, "DC link voltage"),
+    (0xFF00, 0x3300, "output voltage"),
+    (0xFF00, 0x4200, "device temperature"),
+    (0xFF00, 0x4300, "drive or motor temperature"),
+    (0xFF00, 0x5100, "supply of the electronics"),
+    (0xFF00, 0x5200, "control hardware"),
+    (0xFF00, 0x6100, "firmware"),
+    (0xFF00, 0x6200, "user program"),
+    (0xFF00, 0x6300, "parameters"),
+    (0xFF00, 0x7100, "power section or brake"),
+    (0xFF00, 0x7300, "sensor"),
+    (0xFF00, 0x8100, "communication"),
+    (0xFF00, 0x8200, "protocol"),
+    (0xFF00, 0x8300, "torque control"),
+    (0xFF00, 0x8400, "velocity control"),
+    (0xFF00, 0x8500, "position control"),
+    (0xFF00, 0x8600, "positioning control"),
+    (0xFF00, 0x8700, "synchronisation"),
+    (0xFF00, 0xFF00, "vendor's own error"),
+    (0xF000, 0x1000, "generic error"),
+    (0xF000, 0x2000, "current"),
+    (0xF000, 0x3000, "voltage"),
+    (0xF000, 0x4000, "temperature"),
+    (0xF000, 0x5000, "hardware of the device"),
+    (0xF000, 0x6000, "software of the device"),
+    (0xF000, 0x7000, "additional modules"),
+    (0xF000, 0x8000, "monitoring"),
+    (0xF000, 0x9000, "external error"),
+    (0xF000, 0xF000, "additional functions"),
+)
+"""Mask, what is left of a code under it, text."""
+
+REGISTER = (
+    "generic",
+    "current",
+    "voltage",
+    "temperature",
+    "communication",
+    "device profile",
+    "reserved",
+    "vendor's own",
+)
+"""Bits of 1001h, from bit 0."""
+
+
+def error_text(code: int) -> str:
+    """An error code in words, with its number as manuals write it."""
+    return f"{_error_words(code)} ({code:04X}h)"
+
+
+def _error_words(code: int) -> str:
+    if code == 0:
+        return "no error"
+    if code in ERRORS:
+        return ERRORS[code]
+    return next((text for mask, kept, text in ERROR_RANGES if code & mask == kept), "unknown error")
+
+
+def register_text(register: int) -> str:
+    """The bits of 1001h in words; empty when none is set."""
+    return ", ".join(text for bit, text in enumerate(REGISTER) if register >> bit & 1)
+
+
+NO_OBJECT, NO_SUB_INDEX = 0x0602_0000, 0x0609_0011
+READ_ONLY, UNSUPPORTED_ACCESS = 0x0601_0002, 0x0601_0000
+NOT_MAPPABLE, MAPPING_TOO_LONG, INCOMPATIBLE = 0x0604_0041, 0x0604_0042, 0x0604_0043
+
+NOT_THERE = frozenset({NO_OBJECT, NO_SUB_INDEX})
+"""The drive has no such object."""
+
+NOT_TO_WRITE = frozenset({UNSUPPORTED_ACCESS, READ_ONLY})
+"""The object is as it is."""
+
+ABORTS = {
+    0x0503_0000: "toggle bit has not alternated",
+    0x0504_0000: "time-out of the transfer",
+    0x0504_0001: "unknown SDO command",
+    0x0504_0002: "wrong block size",
+    0x0504_0003: "wrong sequence number",
+    0x0504_0004: "wrong check sum",
+    0x0504_0005: "out of memory",
+    UNSUPPORTED_ACCESS: "no such access to this object",
+    0x0601_0001: "write-only",
+    READ_ONLY: "read-only",
+    NO_OBJECT: "no such object",
+    NOT_MAPPABLE: "cannot be mapped into a PDO",
+    MAPPING_TOO_LONG: "the PDO would get longer than eight bytes, or have too many entries",
+    INCOMPATIBLE: "parameters that do not go together",
+    0x0604_0047: "incompatible inside the device",
+    0x0606_0000: "hardware error",
+    0x0607_0010: "wrong length",
+    0x0607_0012: "too long",
+    0x0607_0013: "too short",
+    NO_SUB_INDEX: "no such sub-index",
+    0x0609_0030: "value out of range",
+    0x0609_0031: "value too large",
+    0x0609_0032: "value too small",
+    0x0609_0036: "maximum below minimum",
+    0x060A_0023: "resource not available",
+    0x0800_0000: "general error",
+    0x0800_0020: "cannot be transferred or stored",
+    0x0800_0021: "not while the device is under local control",
+    0x0800_0022: "not in this state of the device",
+    0x0800_0023: "no object dictionary",
+    0x0800_0024: "no data",
+}
+
+
+class Aborted(CommandRefused):
+    """A drive has aborted an SDO transfer.
+
+    Args:
+        message: Which drive, which object.
+        code: Abort code.
+        hint: See `HilError`.
+
+    Attributes:
+        code: The same.
+    """
+
+    def __init__(self, message: str, code: int, *, hint: str = "") -> None:
+        super().__init__(f"{message}: {abort_text(code)}", hint=hint)
+        self.code = code
+
+
+def abort_text(code: int) -> str:
+    """An abort code in words, with its number as manuals write it."""
+    number = f"abort {code >> 16:04X} {code & 0xFFFF:04X}h"
+    return f"{ABORTS[code]} ({number})" if code in ABORTS else number

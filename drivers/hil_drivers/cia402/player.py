@@ -1,19 +1,203 @@
-"""Plays a motion to the drives row by row, brakes on its way, and holds where it ended."""
+"""A motion streamed to the drives: a segment becomes a `Track`, the `Player` plays it row by row.
+
+Everything a cycle needs is computed before the motion begins: `track_of` checks a segment and turns
+it into the drives' integers, with the torque of a rigid-body model where it is sent along. In the
+cycle the player takes the next row, brakes on the rest of the way when it is stopped, and holds
+where the motion ended. A stop slows time down along the path, so all joints stay on it.
+
+In CSP the drives close the position loop and get positions (with a torque offset, if wanted). In
+CSV and CST the master closes it: `velocities` and `torques` compare what an axis shows now with the
+set-point that it should show by now, `BEHIND` cycles old.
+"""
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
-from hil.core import CommandRefused
-from hil.robot import Status
+import numpy as np
+
+from hil.arms import ArmDescription
+from hil.core import CommandRefused, FloatArray, IntArray
+from hil.robot import Limits, Segment, Status
+from hil_drivers.arm import SPEED_SLACK, refused, require_executable
 from hil_drivers.cia402 import objects as od
-from hil_drivers.cia402.contracts import Inputs, Outputs
-from hil_drivers.cia402.control import Fade, Gains, torques, velocities
-from hil_drivers.cia402.track import Track, farthest
+from hil_drivers.cia402.bus import Inputs, Outputs
+from hil_drivers.cia402.commissioning import Drive
+from hil_drivers.cia402.profile import INT16, INT32, Scaling, wrapped
+from hil_drivers.cia402.torque import TorqueModel
 
-__all__ = ["Gains", "Player", "Track"]
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """A motion as the drives take it, one row per cycle.
+
+    Attributes:
+        segment: Index of the plan's step.
+        position: (N, n) of 607Ah, N ≥ 1; begins where the drives hold.
+        velocity: (N, n) of 60FFh.
+        torque: (N, n) feed-forward, ‰ as 6071h and 60B2h.
+    """
+
+    segment: int
+    position: IntArray
+    velocity: IntArray
+    torque: IntArray
+
+    @cached_property
+    def rows(self) -> list[tuple[list[int], list[int], list[int]]]:
+        """Position, velocity and torque row by row, as plain integers."""
+        columns = (self.position.tolist(), self.velocity.tolist(), self.torque.tolist())
+        return list(zip(*columns, strict=True))
+
+    def between(self, at: float) -> tuple[list[int], list[int], list[int]]:
+        """Position, velocity and torque at a place between rows, counted from 0."""
+        row = int(at)
+        last = len(self.rows) - 1
+        if row >= last:
+            return self.rows[last]
+        share, here, there = at - row, self.rows[row], self.rows[row + 1]
+        position = [
+            wrapped(p + round(share * wrapped(q - p)))
+            for p, q in zip(here[0], there[0], strict=True)
+        ]
+        velocity, torque = (
+            [round(p + share * (q - p)) for p, q in zip(here[i], there[i], strict=True)]
+            for i in (1, 2)
+        )
+        return position, velocity, torque
+
+    def steps_at(self, at: float) -> list[int]:
+        """Increments of position per row from a place on; zeros at the end."""
+        row = int(at)
+        if row >= len(self.rows) - 1:
+            return [0] * len(self.rows[0][0])
+        return [
+            wrapped(q - p) for p, q in zip(self.rows[row][0], self.rows[row + 1][0], strict=True)
+        ]
+
+
+AT_SET_POINT_RAD = 1e-4
+"""Set-points are followed without being smoothed: farther away, a segment's begin is reached first.
+"""
+
+GIVEN_RAD = 2e-3
+"""A brake gives when its axis is switched on, after the plan was made from where the arm stood: so
+much is made good before the first motion. Between motions it would hide a mistake."""
+
+LED_RAD = 0.05
+"""Led by a spring (CST, CSV), an arm rests beside its set-point, where friction keeps it."""
+
+REACHED_S = 0.4
+
+
+def track_of(
+    segment: Segment,
+    limits: Limits,
+    standing: FloatArray,
+    rate_hz: float,
+    scaling: Scaling,
+    model: TorqueModel | None,
+    *,
+    led: bool = False,
+    first: bool = False,
+) -> Track:
+    """A segment that can be executed, in the drives' integers.
+
+    Args:
+        segment: The next one.
+        limits: Of the arm.
+        standing: (n,) the set-point that is held [rad].
+        rate_hz: Rows per second of device time.
+        scaling: Of the drives.
+        model: Says the feed-forward torque; none is sent without.
+        led: The master leads the joints; its begin may be farther from there.
+        first: Nothing has moved since the axes were switched on; a brake may have given.
+
+    Raises:
+        CommandRefused: It leaves the limits, jumps, begins elsewhere or moves at its ends.
+    """
+    moves = segment.kind != "hold"
+    tolerance = LED_RAD if led else GIVEN_RAD if first and moves else AT_SET_POINT_RAD
+    require_executable(segment, limits, standing, at_set_point_rad=tolerance)
+    require_smooth(segment, limits, rate_hz)
+    q, qd, qdd = segment.q, segment.qd, segment.qdd
+    if np.abs(q[0] - standing).max() > AT_SET_POINT_RAD:
+        way = _way(standing, q[0], rate_hz)
+        q, qd, qdd = (np.vstack(pair) for pair in zip(way, (q, qd, qdd), strict=True))
+    torque = np.zeros_like(q) if model is None else model.torque(q, qd, qdd)
+    return Track(
+        segment=segment.index,
+        position=scaling.raw_position(q),
+        velocity=scaling.raw_velocity(qd),
+        torque=scaling.raw_torque(torque),
+    )
+
+
+def _way(start: FloatArray, end: FloatArray, rate_hz: float) -> tuple[FloatArray, ...]:
+    """(N, n) positions, velocities, accelerations from rest to rest by a polynomial of degree 5."""
+    t = np.arange(round(REACHED_S * rate_hz))[:, None] / round(REACHED_S * rate_hz)
+    way = end - start
+    q = start + way * (10 * t**3 - 15 * t**4 + 6 * t**5)
+    qd = way * (30 * t**2 - 60 * t**3 + 30 * t**4) / REACHED_S
+    qdd = way * (60 * t - 180 * t**2 + 120 * t**3) / REACHED_S**2
+    return q, qd, qdd
+
+
+ACCELERATION_SLACK = 1.10
+"""Second differences of sampled polynomials and rounded positions may be that much more."""
+
+ROUNDING_RAD = 1e-8
+"""Of a position; second differences see four of it."""
+
+
+def require_smooth(segment: Segment, limits: Limits, rate_hz: float) -> None:
+    """Refuse positions between which drives would jump.
+
+    Args:
+        segment: The next one.
+        limits: Of the arm.
+        rate_hz: Rows per second of device time.
+
+    Raises:
+        CommandRefused: Positions are farther apart than the fastest speed, bend more than the
+            highest acceleration, do not begin and end at rest; or a hold moves.
+    """
+    if segment.kind == "hold" and len(segment.q) != 1:
+        raise refused(f"{_where(segment)} has {len(segment.q)} rows: a hold has one")
+    speed = np.abs(np.diff(segment.q, axis=0)).max(axis=0, initial=0.0) * rate_hz
+    if (too_fast := np.flatnonzero(speed > limits.qd_max * SPEED_SLACK)).size:
+        joint = int(too_fast[0])
+        raise refused(
+            f"{_where(segment)} has set-points of joint {joint} that are {speed[joint]:.3f} rad/s "
+            f"apart, {limits.qd_max[joint]:.3f} are allowed"
+        )
+    # At rest before the first row and after the last one: a segment that sets out or ends at
+    # speed bends there.
+    at_rest = np.vstack((segment.q[:1], segment.q, segment.q[-1:]))
+    bends = np.abs(np.diff(at_rest, 2, axis=0)) * rate_hz**2
+    most = limits.qdd_max * ACCELERATION_SLACK + 4 * ROUNDING_RAD * rate_hz**2
+    if (bends > most).any():
+        raise _too_sharp(segment, bends, limits.qdd_max)
+
+
+def _too_sharp(segment: Segment, bends: FloatArray, most: FloatArray) -> CommandRefused:
+    row, joint = np.unravel_index(int((bends / most).argmax()), bends.shape)
+    place = {0: "sets out", len(bends) - 1: "ends"}.get(int(row), f"bends at row {row}")
+    return refused(
+        f"{_where(segment)} {place} with {bends[row, joint]:.1f} rad/s² of joint {joint} by its "
+        f"positions, {most[joint]:.3f} are allowed"
+    )
+
+
+def _where(segment: Segment) -> str:
+    return f"segment {segment.index} ({segment.kind})"
+
 
 BEHIND = 3
 """Cycles from writing a set-point to the answer that shows it: it is sent in the next one, applied
@@ -106,12 +290,6 @@ class Player:
             fastest = max(self._fastest(track, self._at - 1.0), self._fastest(track, self._at))
             lasts_s = min(fastest / self._period_s / deceleration_rad_s2, LONGEST_STOP_S)
             self._slower = self._pace if lasts_s <= 0.0 else self._period_s / lasts_s
-
-    def hold(self) -> None:
-        """Be done with the motion at once and hold the set-point commanded last."""
-        with self._lock:
-            self._loaded = self._begin = None
-            self._rest_here()
 
     def engage(self, mode: int, outputs: Outputs) -> None:
         """The drives are enabled in a mode, with these preloaded targets: hold them."""
@@ -219,3 +397,151 @@ class Player:
                 f"{where} begins {far:.4f} rad from where axis {axis + 1} is held",
                 hint="plan it from the present q_target",
             )
+
+
+def farthest(a: Sequence[int], b: Sequence[int], scale: Sequence[float]) -> tuple[float, int]:
+    """The largest distance between positions, and whose axis it is, each times its scale."""
+    return max(
+        (abs(wrapped(p - q)) * by, axis)
+        for axis, (p, q, by) in enumerate(zip(a, b, scale, strict=True))
+    )
+
+
+FADE_S = 0.5
+"""A step in the feed-forward torque (a model that is off, a mode switch) goes over this time."""
+
+
+class Fade:
+    """Feed-forward torque, without steps where one model or mode follows the other.
+
+    Args:
+        n: Axes.
+        period_s: Device time of a cycle [s].
+    """
+
+    def __init__(self, n: int, period_s: float) -> None:
+        self._n, self._per_cycle = n, period_s / FADE_S
+        self.end()
+
+    def begin(self, present: Sequence[int], torque: Sequence[int]) -> None:
+        """From what is commanded now to what the next motion begins with [‰]."""
+        self._bias = [now - then for now, then in zip(present, torque, strict=True)]
+        self._left = 1.0
+
+    def end(self) -> None:
+        """There is no step any more."""
+        self._bias, self._left = [0] * self._n, 0.0
+
+    def faded(self, torque: list[int]) -> list[int]:
+        """A row's torque, with what is left of the step; goes on by a cycle."""
+        if self._left <= 0.0:
+            return torque
+        self._left -= self._per_cycle
+        share = max(self._left, 0.0)
+        return [
+            _within(round(value + share * bias), _MOST_TORQUE)
+            for value, bias in zip(torque, self._bias, strict=True)
+        ]
+
+
+@dataclass(frozen=True, slots=True)
+class Gains:
+    """Position control by the master, per axis.
+
+    In CST torque = feed-forward + kp·e + kd·ė, in CSV velocity = the motion's + kv·e.
+
+    Attributes:
+        kp: ‰ of rated torque per increment of position.
+        kd: ‰ of rated torque per count of velocity.
+        limit: Largest torque commanded [‰].
+        kv: Counts of velocity per increment of position.
+    """
+
+    kp: tuple[float, ...]
+    kd: tuple[float, ...]
+    limit: tuple[float, ...]
+    kv: tuple[float, ...]
+
+
+LOOP_RAD_S = 2.0 * math.pi * 4.0
+"""Natural frequency of a joint that is led by torque [rad/s].
+
+What is commanded now acts two cycles later: at 250 Hz about 10 ms with the hold of the last one. A
+loop of 4 Hz, critically damped, then keeps a phase margin of some 45°; harder ones ring."""
+
+INERTIA_SHARE = 0.1
+"""Least inertia of a joint, rotor included, in terms of effort_max / qdd_max of the arm: with more
+of it the loop gets softer and rings a little, with less it would not be stable."""
+
+KV_PER_S = 8.0
+"""In CSV, velocity per error of position [1/s]."""
+
+
+def gains_of(
+    given: Sequence[Mapping[str, Any]], drives: Sequence[Drive], arm: ArmDescription
+) -> Gains:
+    """The gains of all axes.
+
+    Args:
+        given: What the station says of each axis: `stiffness_nm_rad`, `damping_nms_rad`.
+        drives: Say what their numbers mean, and to what torque they limit themselves.
+        arm: Says what the joints are like.
+    """
+    kp, kd, limit, kv = [], [], [], []
+    for axis, drive in enumerate(drives):
+        profile = drive.profile
+        stiffness, damping = _joint(given[axis], arm, axis)
+        kp.append(stiffness * profile.rad_per_increment / profile.nm_per_count)
+        kd.append(damping * profile.rad_s_per_count / profile.nm_per_count)
+        kv.append(KV_PER_S * profile.rad_per_increment / profile.rad_s_per_count)
+        most_nm = [float(arm.effort_max[axis]), drive.max_torque_nm]
+        counts = min(each for each in most_nm if not math.isnan(each)) / abs(profile.nm_per_count)
+        limit.append(min(counts, float(INT16[1])))
+    return Gains(tuple(kp), tuple(kd), tuple(limit), tuple(kv))
+
+
+def _joint(given: Mapping[str, Any], arm: ArmDescription, axis: int) -> tuple[float, float]:
+    """Spring [N·m/rad] and damper [N·m·s/rad]; the damper follows a spring that is given."""
+    inertia = INERTIA_SHARE * float(arm.effort_max[axis] / arm.qdd_max[axis])
+    stiffness = float(given.get("stiffness_nm_rad", inertia * LOOP_RAD_S**2))
+    damping = float(given.get("damping_nms_rad", 2.0 * math.sqrt(stiffness * inertia)))
+    return stiffness, damping
+
+
+def velocities(
+    gains: Gains, velocity: Sequence[int], shown: Sequence[int], inputs: Inputs
+) -> list[int]:
+    """CSV: the motion's velocity, led by the positions that are to show by now."""
+    return [
+        _within(ahead + round(kv * wrapped(wanted - is_at)), _MOST_VELOCITY)
+        for ahead, kv, wanted, is_at in zip(velocity, gains.kv, shown, inputs.position, strict=True)
+    ]
+
+
+def torques(
+    gains: Gains,
+    torque: Sequence[int],
+    position: Sequence[int],
+    velocity: Sequence[int],
+    inputs: Inputs,
+) -> list[int]:
+    """CST: feed-forward, a spring and a damper to what is to show by now."""
+    return [
+        _within(
+            round(
+                torque[i]
+                + gains.kp[i] * wrapped(position[i] - inputs.position[i])
+                + gains.kd[i] * (velocity[i] - inputs.velocity[i])
+            ),
+            gains.limit[i],
+        )
+        for i in range(len(torque))
+    ]
+
+
+_MOST_TORQUE, _MOST_VELOCITY = INT16[1], INT32[1]
+
+
+def _within(value: int, limit: float) -> int:
+    most = int(limit)
+    return most if value > most else -most if value < -most else value

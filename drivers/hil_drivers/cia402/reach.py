@@ -7,12 +7,12 @@ from pathlib import Path
 
 from hil.can import is_up, socket_path, up_command
 from hil.robot import Finding
-from hil_drivers.cia402.bus_options import Bus
+from hil_drivers.cia402.can_channel import CanChannel
 
 WITHIN_S = 2.0
 
 
-def reached(bus: Bus) -> list[Finding]:
+def reached(bus: CanChannel) -> list[Finding]:
     """Whether the bus of a station is switched on, as far as that can be seen from here.
 
     Args:

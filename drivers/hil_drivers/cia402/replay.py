@@ -1,22 +1,44 @@
-"""The recording of a run made anew from a log of its bus, as `candump -L` writes it."""
+"""The recording of a run made anew from a log of its CAN bus, as `candump -L` writes it.
+
+`BusCycles` follows the frames and makes of every SYNC the record that the cycles themselves would
+have kept; from there on `rows` makes the same rows as in the run. What the drives' integers mean is
+taken from the run (`start.json`), because no drive is there to be asked.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import struct
+from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Mapping as MappingOf
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from hil.arms import load_arm
-from hil.can import read_candump
+from hil.can import Frame, read_candump
 from hil.core import DataError, StructArray
 from hil.robot import Topic
-from hil_drivers.cia402.bus_cycles import BusCycles
-from hil_drivers.cia402.inspection import profile_of, said_by
-from hil_drivers.cia402.mapping import MAPPINGS
+from hil_drivers.cia402.can_channel import (
+    EMCY_COB_ID,
+    SDO_ANSWER_COB_ID,
+    SYNC_COB_ID,
+    rpdo_cob_id,
+    tpdo_cob_id,
+)
+from hil_drivers.cia402.can_cycle import MARKER, Temperatures
+from hil_drivers.cia402.commissioning import profile_of, said_by
+from hil_drivers.cia402.mapping import (
+    MAPPINGS,
+    MOST_BYTES,
+    STALLED,
+    Mapping,
+    cycle_dtype,
+)
 from hil_drivers.cia402.options import Options, options_of
-from hil_drivers.cia402.profile import AxisProfile
+from hil_drivers.cia402.profile import AxisProfile, Scaling
 from hil_drivers.cia402.rows import TOPIC, StateRows, raw_rows, raw_topic
-from hil_drivers.cia402.scaling import Scaling
+from hil_drivers.cia402.timing import Stalls
 
 
 class Replay:
@@ -34,7 +56,7 @@ class Replay:
     """
 
     def __init__(
-        self, log: Path, model: str, options: Mapping[str, Any], robot: Mapping[str, Any]
+        self, log: Path, model: str, options: MappingOf[str, Any], robot: MappingOf[str, Any]
     ) -> None:
         self._log, self._options = log, options_of(options, model)
         self._mapping = MAPPINGS[self._options.mapping]
@@ -47,7 +69,7 @@ class Replay:
         """See `RecordedLog`."""
         return (self._topic,)
 
-    def blocks(self) -> Iterator[tuple[StructArray, Mapping[str, StructArray]]]:
+    def blocks(self) -> Iterator[tuple[StructArray, MappingOf[str, StructArray]]]:
         """See `RecordedLog`."""
         options, period_s = self._options, self._options.period_s
         rows = StateRows(self._mapping, self._scaling, period_s, options.effort)
@@ -63,7 +85,7 @@ class Replay:
             )
 
 
-def profiles_of(options: Options, model: str, robot: Mapping[str, Any]) -> list[AxisProfile]:
+def profiles_of(options: Options, model: str, robot: MappingOf[str, Any]) -> list[AxisProfile]:
     """What the integers of all axes meant in a run.
 
     Args:
@@ -88,7 +110,7 @@ def profiles_of(options: Options, model: str, robot: Mapping[str, Any]) -> list[
     return profiles
 
 
-def _objects(details: Mapping[str, Any], axis: int) -> dict[str, int]:
+def _objects(details: MappingOf[str, Any], axis: int) -> dict[str, int]:
     """Objects of one axis, as `Commissioned.details` keeps them."""
     read: dict[str, int] = {}
     for name, told in details.items():
@@ -96,3 +118,123 @@ def _objects(details: Mapping[str, Any], axis: int) -> dict[str, int]:
         if axis < len(values) and values[axis].lstrip("-").isdigit():
             read[name] = int(values[axis])
     return read
+
+
+BLOCK = 4096
+"""Records that are given at a time."""
+
+
+class BusCycles:
+    """Follows a bus frame by frame.
+
+    A record is what one SYNC, the commands behind it and the answers to it have in common, with the
+    temperatures known at the SYNC and the fault known when the last answer came.
+
+    Args:
+        options: Of the station.
+        mapping: What travels.
+    """
+
+    def __init__(self, options: Options, mapping: Mapping) -> None:
+        nodes = options.nodes
+        n, self._dtype = len(nodes), cycle_dtype(mapping, len(nodes))
+        self._sent = np.zeros((len(mapping.rpdos), n, MOST_BYTES), np.uint8)
+        self._answered = np.zeros((len(mapping.tpdos), n, MOST_BYTES), np.uint8)
+        self._commands = _slots(mapping.rpdos, nodes, rpdo_cob_id)
+        self._answers = _slots(mapping.tpdos, nodes, tpdo_cob_id)
+        self._emergencies = {EMCY_COB_ID + node: axis for axis, node in enumerate(nodes)}
+        self._sdo = {SDO_ANSWER_COB_ID + node for node in nodes}
+        self._marker_id = tpdo_cob_id(1, options.master_id)
+        self._temperatures = Temperatures(nodes, options.temperature_object)
+        self._faults: dict[int, int] = {}
+        self._announced = (-1, 0)
+        self._cycle, self._sync_time = -1, 0.0
+        self._stalls = Stalls(
+            options.period_s, options.late_cycles, real=options.wall_period_s == options.period_s
+        )
+        self._stalled = False
+        self._told = self._announced
+        self._missing: set[int] = set()
+        self._celsius, self._fault_code = self._temperatures.celsius.copy(), 0
+
+    def blocks(self, frames: Iterable[Frame]) -> Iterator[StructArray]:
+        """Records of all cycles in which anything was answered or commanded, in order."""
+        kept: list[Any] = []
+        for frame in frames:
+            if frame.id == SYNC_COB_ID:
+                kept += self._closed()
+                self._open(frame)
+            else:
+                self._take(frame)
+            if len(kept) >= BLOCK:
+                yield self._block(kept)
+                kept = []
+        kept += self._closed()
+        if kept:
+            yield self._block(kept)
+
+    def _open(self, frame: Frame) -> None:
+        self._cycle, self._sync_time = self._cycle + 1, frame.time_s
+        self._stalled = self._stalls.synced(frame.time_s)
+        self._told, self._missing = self._announced, set(self._answers)
+        self._celsius = self._temperatures.celsius.copy()
+
+    def _take(self, frame: Frame) -> None:
+        can_id, data = frame.id, frame.data
+        if can_id in self._answers:
+            self._answer(can_id, data)
+        elif can_id in self._commands:
+            pdo, axis = self._commands[can_id]
+            self._sent[pdo, axis, : len(data)] = list(data)
+        elif can_id == self._marker_id and len(data) == MARKER.size:
+            segment, status = MARKER.unpack(data)
+            self._announced = (segment, status)
+        elif can_id in self._sdo:
+            self._temperatures.heard(can_id, data)
+        elif can_id in self._emergencies and len(data) == MOST_BYTES:
+            self._emergency(self._emergencies[can_id], struct.unpack_from("<H", data)[0])
+
+    def _answer(self, can_id: int, data: bytes) -> None:
+        pdo, axis = self._answers[can_id]
+        self._answered[pdo, axis, : len(data)] = list(data)
+        if can_id in self._missing:
+            self._missing.remove(can_id)
+            if not self._missing:
+                self._fault_code = self._first_fault()
+
+    def _emergency(self, axis: int, code: int) -> None:
+        if code:
+            self._faults.setdefault(axis, code)
+        else:
+            self._faults.pop(axis, None)
+
+    def _first_fault(self) -> int:
+        return next(iter(self._faults.values()), 0)
+
+    def _closed(self) -> list[Any]:
+        """The record of the cycle that is over, if there was one."""
+        if self._cycle < 0:
+            return []
+        flags = STALLED if self._stalled else 0
+        if self._missing:
+            self._fault_code = self._first_fault()
+            flags |= sum({1 << self._answers[can_id][1] for can_id in self._missing})
+        record = np.zeros((), self._dtype)
+        record["cycle"], record["host_time"] = self._cycle, self._sync_time
+        record["temperature"], record["flags"] = self._celsius, flags
+        record["fault_code"] = self._fault_code
+        record["segment"], record["status"] = self._told
+        record["rpdo"], record["tpdo"] = self._sent, self._answered
+        return [record]
+
+    def _block(self, records: list[Any]) -> StructArray:
+        return np.array(records, dtype=self._dtype)
+
+
+def _slots(pdos: Any, nodes: Iterable[int], cob_id_of: Any) -> dict[int, tuple[int, int]]:
+    """COB-ID → which PDO, which axis."""
+    return {
+        cob_id_of(pdo.number, node): (at, axis)
+        for at, pdo in enumerate(pdos)
+        for axis, node in enumerate(nodes)
+    }

@@ -12,7 +12,7 @@ from typing import Any
 
 from hil.core import RobotConnectionError, RobotTimeout
 from hil.robot import Facts, Finding, RecordedLog, RobotProcess
-from hil_drivers.cia402.direct_stop import stop_directly
+from hil_drivers.cia402.can_cycle import stop_directly
 from hil_drivers.cia402.facts import capabilities_of, limits_of
 from hil_drivers.cia402.mapping import MAPPINGS
 from hil_drivers.cia402.options import options_of

@@ -14,10 +14,10 @@ import numpy as np
 
 from hil.core import BoolArray, FloatArray, IntArray, StructArray
 from hil.robot import Status, Topic, state_dtype
+from hil_drivers.cia402.axis import FOLLOWS_COMMAND, INTERNAL_LIMIT
 from hil_drivers.cia402.mapping import INCOMPLETE, STALLED, Mapping
-from hil_drivers.cia402.objects import CSP, CST, Entry
-from hil_drivers.cia402.scaling import Scaling
-from hil_drivers.cia402.states import FOLLOWS_COMMAND, INTERNAL_LIMIT
+from hil_drivers.cia402.objects import CSP, CST, VELOCITY, Entry
+from hil_drivers.cia402.profile import Scaling
 
 LATENCY = 2
 """Cycles from sending a set-point to having reached it."""
@@ -42,7 +42,7 @@ def raw_topic(mapping: Mapping, n: int, rate_hz: float) -> Topic:
         n: Number of axes.
         rate_hz: Cycles per second of device time [Hz].
     """
-    entries = sorted(_entries(mapping), key=lambda entry: -entry.size)
+    entries = sorted(mapping.entries, key=lambda entry: -entry.size)
     fields: list[Any] = [("device_time", "<f8"), ("host_time", "<f8"), *_HEAD, ("flags", "<i4")]
     fields += [(entry.name, _numpy_code(mapping, entry), (n,)) for entry in entries]
     units = {"device_time": "s", "host_time": "s (Unix time)"}
@@ -102,7 +102,7 @@ class StateRows:
     ) -> None:
         self._mapping, self._scaling = mapping, scaling
         self._period_s, self._effort = period_s, effort
-        self._carries_velocity = any(e.name == "velocity" for e in _entries(mapping))
+        self._carries_velocity = VELOCITY in mapping.entries
         self._before: StructArray | None = None
         self._last: StructArray | None = None
 
@@ -172,10 +172,6 @@ class StateRows:
             return np.full((n, self._scaling.n), np.nan)
         torque = self._scaling.torque(values["target_torque"][1 : n + 1])
         return np.where((mode == CST)[:, None], torque, np.nan)
-
-
-def _entries(mapping: Mapping) -> list[Entry]:
-    return [entry for pdo in mapping.pdos for entry in pdo.entries]
 
 
 def _numpy_code(mapping: Mapping, entry: Entry) -> str:

@@ -1,31 +1,71 @@
-"""Brings all axes through the states of CiA 402 at once, and stops all when one falters.
+"""All axes together: brought through the states of CiA 402 at once, all stopped when one falters.
 
-Pure: what it knows is what the drives answered, what it says goes to `Outputs`. Times are counted
-in cycles.
+`Supervisor.step` runs once a cycle, in the thread that owns the bus. It is pure: what it knows is
+what the drives have answered (`Inputs`, `News`), what it decides goes to `Outputs`; it has no clock
+but the number of cycles. It is in one `Phase` at a time, and `_go_on` says what each phase does
+with the answers. Two helpers have the details: `Judge` finds what is wrong with which axis in one
+cycle's answers, `Complaints` gathers that until it is worth one message.
+
+Whatever goes wrong in a phase of `WATCHED` stops all axes by their own quick stop (`BRAKING`): an
+arm of which one joint has failed must not go on with the others.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from enum import Enum
 
 from hil_drivers.cia402 import objects as od
-from hil_drivers.cia402 import states
-from hil_drivers.cia402.complaints import Complaints
-from hil_drivers.cia402.contracts import Emergency, Inputs, News, Outputs
-from hil_drivers.cia402.judging import FAULTY, Judge, mode_text
-from hil_drivers.cia402.phases import RUNNING, WATCHED, WITHIN_S, Phase
-from hil_drivers.cia402.rest_watch import LONGEST_RAMP_S, BrakeWatch
-from hil_drivers.cia402.states import (
+from hil_drivers.cia402.axis import (
+    DISABLE_VOLTAGE,
+    ENABLE,
+    FAULTY,
+    FOLLOWS_COMMAND,
+    LONGEST_RAMP_S,
+    POWERED,
+    QUICK_STOP,
+    SWITCH_ON,
+    BrakeWatch,
     Goal,
     State,
+    Tracking,
     controlword_resetting,
     controlword_towards,
+    mode_text,
     state_of,
     told_by,
 )
-from hil_drivers.cia402.tracking import Tracking
+from hil_drivers.cia402.bus import Inputs, News, Outputs
 
-__all__ = ["Phase", "Supervisor"]
+
+class Phase(Enum):
+    """Where all axes together are."""
+
+    OFF = "off"
+    RESETTING = "resetting faults"
+    MODE = "setting the mode"
+    ENABLING = "enabling"
+    ENABLED = "enabled"
+    SWITCHING = "switching the mode"
+    BRAKING = "quick stop"
+    DISABLING = "switching off"
+
+
+WITHIN_S = {
+    Phase.RESETTING: 2.0,
+    Phase.MODE: 2.0,
+    Phase.ENABLING: 5.0,
+    Phase.SWITCHING: 1.0,
+    Phase.BRAKING: 10.0,
+    Phase.DISABLING: 5.0,
+}
+"""How long a phase may take, by device time [s]; releasing brakes takes some of `ENABLING`."""
+
+RUNNING = (Phase.ENABLED, Phase.SWITCHING)
+"""The drives follow set-points."""
+
+WATCHED = (Phase.MODE, Phase.ENABLING, Phase.ENABLED, Phase.SWITCHING, Phase.DISABLING)
+"""Something is on, or about to be: whatever goes wrong stops all axes."""
 
 SILENT_S = 1.0
 """How long quick stop is sent to axes that do not answer [s]."""
@@ -49,7 +89,6 @@ class Supervisor:
         braking: Watches quick stops.
         tracking: Watches whether enabled axes go where they are told.
         names: Of the axes, for messages.
-        said: An emergency in words.
 
     Attributes:
         phase: Where the axes are.
@@ -69,10 +108,9 @@ class Supervisor:
         braking: BrakeWatch | None = None,
         tracking: Tracking | None = None,
         names: Sequence[str] = (),
-        said: Callable[[Emergency], str] = lambda emergency: f"EMCY {emergency.code:04X}h",
     ) -> None:
         self._n, self._period_s, self._outputs = len(nodes), period_s, outputs
-        self._said, self._judge = said, Judge(len(nodes), mode_mapped, late_cycles)
+        self._judge = Judge(len(nodes), mode_mapped, late_cycles)
         names = names or [f"axis {axis + 1}" for axis in range(len(nodes))]
         self._complaints = Complaints(names, nodes)
         n = self._n
@@ -130,7 +168,7 @@ class Supervisor:
     def reset(self) -> None:
         """Begin to reset the faults of all axes."""
         self._complaints.clear()
-        self._outputs.controlword[:] = [states.DISABLE_VOLTAGE] * self._n
+        self._outputs.controlword[:] = [DISABLE_VOLTAGE] * self._n
         self._enter(Phase.RESETTING)
 
     def disable(self) -> None:
@@ -149,14 +187,14 @@ class Supervisor:
         if self.phase is not Phase.BRAKING:
             self._enter(Phase.BRAKING)
             self._braking.begin()
-        self._outputs.controlword[:] = [states.QUICK_STOP] * self._n
+        self._outputs.controlword[:] = [QUICK_STOP] * self._n
 
     def hear(self, news: News) -> None:
         """What came beside process data; before the `step` of the same cycle."""
         for emergency in news.emergencies:
             self._codes[emergency.axis] = emergency.code
             if emergency.code:
-                self._complain(emergency.axis, self._said(emergency))
+                self._complain(emergency.axis, str(emergency))
             else:
                 self._complaints.forget(emergency.axis)
         for axis in news.booted:
@@ -239,9 +277,9 @@ class Supervisor:
         words = self._outputs.controlword
         for axis, state in enumerate(self._states):
             word = controlword_towards(state, Goal.ENABLED)
-            if word == states.ENABLE and not together:
-                word = states.SWITCH_ON
-            if words[axis] != states.ENABLE:
+            if word == ENABLE and not together:
+                word = SWITCH_ON
+            if words[axis] != ENABLE:
                 self._preload((axis,))  # not any more once it has been let go
             words[axis] = word
         if all(state is State.ENABLED for state in self._states):
@@ -261,7 +299,7 @@ class Supervisor:
 
     def _brake(self, inputs: Inputs) -> None:
         """Quick stop until no axis carries current; silent ones may hear it all the same."""
-        carrying = [axis for axis in range(self._n) if self._states[axis] in states.POWERED]
+        carrying = [axis for axis in range(self._n) if self._states[axis] in POWERED]
         self._let_go_what_does_not_brake(carrying, inputs)
         answering = any(self._judge.answers(axis) for axis in carrying)
         given_s = WITHIN_S[Phase.BRAKING] if answering else SILENT_S
@@ -322,7 +360,7 @@ class Supervisor:
         words = self._outputs.controlword
         words[:] = [controlword_towards(s, goal) for s in self._states]
         for axis in self._let_go:
-            words[axis] = states.DISABLE_VOLTAGE
+            words[axis] = DISABLE_VOLTAGE
 
     def _preload(self, axes: tuple[int, ...] | range) -> None:
         """Targets are where the axes are: nothing jumps when they are enabled."""
@@ -331,3 +369,192 @@ class Supervisor:
             outputs.target_position[axis] = inputs.position[axis]
             outputs.target_velocity[axis] = outputs.torque_offset[axis] = 0
             outputs.target_torque[axis] = 0
+
+
+FOLLOWS_WITHIN_S = 0.1
+"""How long after enabling or switching bit 12 may stay low [s]."""
+
+BEHIND_TIMES = 3
+"""Times `late_cycles` for which an axis may be behind: its answers come, but to older SYNCs."""
+
+
+class Judge:
+    """What is wrong with which axis.
+
+    Args:
+        n: Axes.
+        mode_mapped: Whether the process data hold 6060h and 6061h.
+        late_cycles: Cycles in a row that an axis may not answer.
+
+    Attributes:
+        missed: Per axis, cycles in a row that it has not answered.
+    """
+
+    def __init__(self, n: int, mode_mapped: bool, late_cycles: int) -> None:
+        self._n, self._mode_mapped, self._late_cycles = n, mode_mapped, late_cycles
+        self._all_fresh = [True] * n
+        self.missed, self._behind = [0] * n, [0] * n
+        self._follows = [False] * n
+        self._calm: list[int] = []
+
+    def enter(self, phase: Phase) -> None:
+        """A phase begins: bit 12 has time again."""
+        self._follows, self._calm = [False] * self._n, []
+        if phase is Phase.MODE:
+            self.missed, self._behind = [0] * self._n, [0] * self._n
+
+    def answers(self, axis: int) -> bool:
+        """Whether an axis has answered lately."""
+        most = self._late_cycles
+        return self.missed[axis] <= most and self._behind[axis] <= BEHIND_TIMES * most
+
+    def is_calm(self, inputs: Inputs, mode: Sequence[int]) -> bool:
+        """Nothing is other than when all was well; saves looking at every axis."""
+        return (
+            inputs.statusword == self._calm
+            and inputs.fresh == self._all_fresh
+            and (not self._mode_mapped or inputs.mode_display == mode)
+        )
+
+    def count(self, inputs: Inputs) -> None:
+        """Who has answered; once a cycle."""
+        self.missed = [
+            0 if came or late else missed + 1
+            for came, late, missed in zip(inputs.fresh, inputs.late, self.missed, strict=True)
+        ]
+        self._behind = [
+            0 if came else behind + 1
+            for came, behind in zip(inputs.fresh, self._behind, strict=True)
+        ]
+
+    def settle(self, inputs: Inputs, phase: Phase) -> None:
+        """All that follows from these answers has been done: are they what is to stay?"""
+        well = phase is Phase.ENABLED and all(self._follows) and not any(self._behind)
+        self._calm = inputs.statusword.copy() if well else []
+
+    def judge(
+        self, inputs: Inputs, found: Sequence[State], phase: Phase, mode: int, for_s: float
+    ) -> Iterator[tuple[int, str]]:
+        """Axes that are not as they are to be, and what is wrong.
+
+        Args:
+            inputs: Of this cycle.
+            found: Per axis, what its statusword says.
+            phase: Of all axes, since `for_s` [s].
+            mode: That they are to be in.
+            for_s: See `phase`.
+        """
+        for axis, state in enumerate(found):
+            word = inputs.statusword[axis]
+            if not self.answers(axis):
+                yield axis, self._silence(axis)
+            elif state in FAULTY:
+                yield axis, told_by(word)
+            elif phase in RUNNING and state is not State.ENABLED:
+                yield axis, f"has left operation enabled: {told_by(word)}"
+            elif phase is Phase.ENABLED and self._is_in_wrong_mode(axis, inputs, mode):
+                yield axis, f"has left mode {mode_text(mode)} on its own"
+            elif phase is Phase.ENABLED and not self._follows_now(axis, word, for_s):
+                yield axis, f"ignores set-points (bit 12 low): {told_by(word)}"
+
+    def _silence(self, axis: int) -> str:
+        if self.missed[axis] > self._late_cycles:
+            return f"has not answered {self.missed[axis]} SYNCs in a row"
+        return f"has answered none of {self._behind[axis]} SYNCs in time"
+
+    def in_wrong_mode(self, inputs: Inputs, mode: int) -> list[int]:
+        """Axes that show another mode."""
+        return [a for a in range(self._n) if self._is_in_wrong_mode(a, inputs, mode)]
+
+    def _is_in_wrong_mode(self, axis: int, inputs: Inputs, mode: int) -> bool:
+        return self._mode_mapped and inputs.mode_display[axis] != mode
+
+    def _follows_now(self, axis: int, word: int, for_s: float) -> bool:
+        """Once bit 12 has been high it has to stay so."""
+        if word & FOLLOWS_COMMAND:
+            self._follows[axis] = True
+            return True
+        return not self._follows[axis] and for_s <= FOLLOWS_WITHIN_S
+
+
+STOPPED = "All axes were stopped"
+TOLD = "All axes were told to stop"
+UNKNOWN = "not known to have stopped"
+NOBODY = (
+    "No axis answers: quick stop may not arrive, but without a master drives stop by themselves"
+)
+
+_MOVING = (None, State.ENABLED, State.UNKNOWN)
+"""States in which nothing says that an axis brakes or is off; None: it does not answer."""
+
+
+class Complaints:
+    """What made all axes stop, and what else came of it.
+
+    Args:
+        names, nodes: Of the axes.
+
+    Attributes:
+        since: Cycle of the first one.
+    """
+
+    def __init__(self, names: Sequence[str], nodes: Sequence[int]) -> None:
+        self._names = names
+        self._axes = [f"{name} (node {node})" for name, node in zip(names, nodes, strict=True)]
+        self._of_bus: list[str] = []
+        self._of_axes: dict[int, list[str]] = {}
+        self._before: dict[int, str] = {}
+        self.since = 0
+
+    def __bool__(self) -> bool:
+        return bool(self._of_bus or self._of_axes)
+
+    def clear(self) -> None:
+        """Begin anew; what was only kept is kept."""
+        self._of_bus, self._of_axes = [], {}
+
+    def add(self, axis: int | None, what: str, cycle: int) -> None:
+        """Note it, once; no axis when it is the bus or all of them."""
+        if not self:
+            self.since = cycle
+        known = self._of_bus if axis is None else self._of_axes.setdefault(axis, [])
+        if axis in self._before:
+            known.append(self._before.pop(axis))
+        if what not in known:
+            known.append(what)
+
+    def keep(self, axis: int, what: str) -> None:
+        """Something that stops nothing now, and may explain what comes."""
+        self._before[axis] = what
+
+    def forget(self, axis: int) -> None:
+        """It says that its errors are gone."""
+        self._before.pop(axis, None)
+
+    def take(self, states: Sequence[State | None]) -> str:
+        """All in one message, the state of the other axes with it; nothing is left then.
+
+        Args:
+            states: Per axis, None where it does not answer.
+        """
+        parts = list(self._of_bus)
+        parts += [
+            f"{self._axes[axis]}: {'; '.join(whats)}" for axis, whats in self._of_axes.items()
+        ]
+        told, fate = "; ".join(parts), self._fate(states)
+        self.clear()
+        return f"{told}. {fate}" if fate else told
+
+    def _fate(self, states: Sequence[State | None]) -> str:
+        """What has become of the axes; nobody is said to have stopped who does not say so."""
+        if not any(states):
+            return NOBODY
+        moving = [axis for axis, state in enumerate(states) if state in _MOVING]
+        others: dict[str, list[str]] = {}
+        for axis, state in enumerate(states):
+            if state is not None and axis not in moving and axis not in self._of_axes:
+                others.setdefault(state.value, []).append(self._names[axis])
+        if moving:
+            others[UNKNOWN] = [self._names[axis] for axis in moving]
+        by_state = [f"{', '.join(names)}: {state}" for state, names in others.items()]
+        return "; ".join([TOLD if moving else STOPPED, *by_state]) if by_state else ""
