@@ -21,8 +21,8 @@ from pyads import constants, structs
 from hil.arms import load_arm
 from hil.arms.payload import Payload
 from hil.robot import Segment
+from hil_drivers.twincat import ads as lines
 from hil_drivers.twincat import controller as controllers
-from hil_drivers.twincat import line as lines
 from hil_drivers.twincat.options import options_of
 from hil_drivers.twincat.robot import TwinCatRobot
 from hil_mock_robot.twincat.ads import PlcHandler, Refused

@@ -6,7 +6,7 @@ import threading
 import time
 
 from hil.core.errors import HilError, RobotConnectionError, RobotTimeout
-from hil_drivers.twincat.beat import Beat
+from hil_drivers.twincat.controller import Beat
 
 
 def beaten(*problems: HilError | None, wanted: int) -> tuple[Beat, list[int]]:

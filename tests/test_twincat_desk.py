@@ -19,7 +19,7 @@ from hil.core.errors import (
     RobotFault,
     RobotTimeout,
 )
-from hil_drivers.twincat import orders
+from hil_drivers.twincat import controller
 from hil_drivers.twincat.robot import TwinCatRobot
 from hil_mock_robot.twincat.program import Phase
 
@@ -195,9 +195,8 @@ def test_what_is_written_over_checked_set_points_is_not_played(robot, desk):
 
 @pytest.mark.parametrize("order", ["start", "payload", "prepare"])
 def test_a_command_without_an_answer_is_followed_by_a_stop(robot, desk, order, monkeypatch):
-    monkeypatch.setattr(orders, "LOAD_S", 0.05)
-    monkeypatch.setattr("hil_drivers.twincat.controller.LOAD_S", 0.05)
-    monkeypatch.setattr(orders.Orders.give, "__defaults__", (0.05,))
+    monkeypatch.setattr(controller, "LOAD_S", 0.05)
+    monkeypatch.setattr(controller.Orders.give, "__defaults__", (0.05,))
     robot.prepare(little_move())
     look, desk.program.commands.look = desk.program.commands.look, lambda: None
     acts = {
@@ -227,7 +226,7 @@ def test_another_clients_command_is_not_taken_for_ours(robot, desk):
 
     robot._controller.orders._write = overwritten
     with pytest.raises(RobotTimeout):
-        robot._controller.orders.give(orders.Order.HOLD, "hold", 0.05, nStop=0)
+        robot._controller.orders.give(controller.Order.HOLD, "hold", 0.05, nStop=0)
     robot._controller.orders._write = write
 
 
@@ -241,7 +240,7 @@ def test_an_answer_that_is_not_to_our_command_is_none(robot, desk, field):
 
     desk.program.commands.look = spoilt
     with pytest.raises(RobotTimeout, match="has not answered"):
-        robot._controller.orders.give(orders.Order.HOLD, "hold", 0.05, nStop=0)
+        robot._controller.orders.give(controller.Order.HOLD, "hold", 0.05, nStop=0)
     desk.program.commands.look = look
 
 
@@ -343,7 +342,7 @@ def test_a_stop_forgets_what_was_loaded(robot, desk):
     robot.stop()
     answer = robot._controller.orders
     with pytest.raises(CommandRefused, match="no set-points are loaded"):
-        answer.give(orders.Order.START, "start", nSegment=1, nStop=1)
+        answer.give(controller.Order.START, "start", nSegment=1, nStop=1)
 
 
 def test_a_silent_plc_is_waited_for_no_longer_than_asked(robot, desk):

@@ -10,11 +10,9 @@ import pytest
 from hil.core.errors import RobotConnectionError, SpecError
 from hil.robot import Segment
 from hil_drivers.twincat.options import options_of
-from hil_drivers.twincat.ring import Ring
-from hil_drivers.twincat.rows import HostClock, state_rows
-from hil_drivers.twincat.symbols import CONTRACT, REASONS, layout_of
-from hil_drivers.twincat.symbols import Result as DriversResult
-from hil_drivers.twincat.upload import set_points, sums_of, upload
+from hil_drivers.twincat.reading import HostClock, Ring, state_rows
+from hil_drivers.twincat.variables import CONTRACT, REASONS, layout_of, set_points, sums_of, upload
+from hil_drivers.twincat.variables import Result as DriversResult
 from hil_mock_robot.twincat import program
 from hil_mock_robot.twincat.memory import Memory, contract, declared_in
 from hil_mock_robot.twincat.program import Ramp, Trajectory

@@ -14,7 +14,7 @@ import yaml
 from plc_mock import mock_plc
 
 from hil.recording.mcap_reader import read_topic
-from hil_drivers.twincat.rows import TOPIC
+from hil_drivers.twincat.reading import TOPIC
 
 pytestmark = [pytest.mark.wire, pytest.mark.timeout(240)]
 

@@ -29,10 +29,10 @@ from hil.core.errors import (
 from hil.robot import Status
 from hil.testing.moves import begin, follow, move, settle
 from hil_drivers import network
-from hil_drivers.twincat import orders
+from hil_drivers.twincat import controller
+from hil_drivers.twincat.reading import TOPIC
 from hil_drivers.twincat.robot import TwinCatRobot
-from hil_drivers.twincat.rows import TOPIC
-from hil_drivers.twincat.symbols import CONTRACT
+from hil_drivers.twincat.variables import CONTRACT
 
 pytestmark = [pytest.mark.wire]
 
@@ -202,7 +202,6 @@ def test_a_stop_between_prepare_and_start_holds(robot):
 CLIENT = """
 import sys, time
 from hil.testing.moves import begin, move
-from hil_drivers.twincat import orders
 from hil_drivers.twincat.robot import TwinCatRobot
 robot = TwinCatRobot("arm", "lab6", address=sys.argv[1])
 robot.connect()
@@ -313,7 +312,7 @@ def bare_plc(*, without=(), contract=None, model="lab6", cycle_s=0.001):
     ids=["version", "symbol", "model", "cycle", "dead program"],
 )
 def test_a_plc_that_is_not_the_right_one_is_told_in_one_sentence(plc_is, kind, said, monkeypatch):
-    monkeypatch.setattr(orders.Orders.give, "__defaults__", (0.3,))
+    monkeypatch.setattr(controller.Orders.give, "__defaults__", (0.3,))
     with bare_plc(**plc_is) as address, pytest.raises(kind, match=said) as told:
         TwinCatRobot("arm", "lab6", address=address).connect()
     assert told.value.hint

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from hil.arms import load_arm
-from hil.core import PluginError, RobotConnectionError
+from hil.core import RobotConnectionError
 from hil.robot import Capabilities, Identity, Limits
 from hil_drivers import arm
 from hil_drivers.twincat.options import Options
-from hil_drivers.twincat.symbols import CONTRACT, CURRENT, TORQUE
+from hil_drivers.twincat.variables import CONTRACT, CURRENT, TORQUE
 
 CYCLE_SHARE = 1e-6
 EFFORTS = {TORQUE: "torque", CURRENT: "current"}
@@ -41,19 +41,6 @@ def reported_limits(info: np.void) -> arm.ReportedLimits:
         qdd_max=info["aQddMax"],
         payload_max_kg=float(info["fPayloadMax"]),
     )
-
-
-def require_contract(where: str, version: int) -> None:
-    """Refuse a PLC program that was written for another contract.
-
-    Raises:
-        PluginError: It was.
-    """
-    if version != CONTRACT:
-        raise PluginError(
-            f"{where}: its program keeps version {version} of the contract, this driver {CONTRACT}",
-            hint="download the PLC program of docs/how-to/drive-twincat.md, or the hil that fits",
-        )
 
 
 def require_fit(where: str, info: np.void, model: str, options: Options) -> None:

@@ -3,57 +3,43 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
 from hil.arms import Payload
 from hil.robot import Finding, Limits
 from hil_drivers.arm import payload_finding
-from hil_drivers.twincat.beat import EVERY_S
-from hil_drivers.twincat.controller import Controller
+from hil_drivers.twincat.ads import RUN, STATES
+from hil_drivers.twincat.controller import EVERY_S, Controller, payload_in
 from hil_drivers.twincat.facts import reported_limits
-from hil_drivers.twincat.return_codes import RUN, STATES
-from hil_drivers.twincat.ring import Ring
-from hil_drivers.twincat.symbols import CONTRACT, Phase
+from hil_drivers.twincat.reading import Ring
+from hil_drivers.twincat.variables import CONTRACT, Phase
 
 LEAST_BEATS = 3
 """Beats that have to fit into the PLC's watchdog: one may come late."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Looked:
-    """What the findings are made of.
+def findings_of(
+    controller: Controller, ring: Ring, limits: Limits, declared: Payload | None
+) -> Iterator[Finding]:
+    """One finding per thing that was looked at.
 
-    Attributes:
+    Args:
         controller: Connected.
-        runtime: ADS state of the PLC's runtime.
-        state: `stState`.
-        limits: That plans are held against.
-        declared: The load it was last told of; None when it was not.
-        computed: The load it says that it computes with.
         ring: That is read.
+        limits: That plans are held against.
+        declared: The load that the PLC was last given; None when it was not.
     """
-
-    controller: Controller
-    runtime: int
-    state: np.void
-    limits: Limits
-    declared: Payload | None
-    computed: Payload
-    ring: Ring
-
-
-def findings_of(looked: Looked) -> Iterator[Finding]:
-    """One finding per thing that was looked at."""
-    yield _runtime(looked.runtime)
-    yield _phase(looked)
-    yield _session(looked)
-    yield _cycle(looked.controller.info)
-    yield _watchdog(looked.controller.info)
-    yield _joint_limits(looked)
-    yield payload_finding(looked.declared, looked.computed, "see to the PLC's program")
-    yield _ring(looked)
+    info, state = controller.info, controller.state()
+    computed = payload_in(controller.variables.structure("stAnswer"))
+    yield _runtime(controller.runtime_state())
+    yield _phase(controller, state)
+    yield _session(controller, state)
+    yield _cycle(info)
+    yield _watchdog(info)
+    yield _joint_limits(info, limits)
+    yield payload_finding(declared, computed, "see to the PLC's program")
+    yield _ring(info, ring)
 
 
 def _runtime(state: int) -> Finding:
@@ -62,18 +48,18 @@ def _runtime(state: int) -> Finding:
     return Finding("runtime", state == RUN, said, name, "RUN", "start the PLC in TwinCAT")
 
 
-def _phase(looked: Looked) -> Finding:
-    phase = int(looked.state["nPhase"])
+def _phase(controller: Controller, state: np.void) -> Finding:
+    phase = int(state["nPhase"])
     name = Phase(phase).name if phase in tuple(Phase) else str(phase)
     said = f"the PLC's program says {name}"
     if phase == Phase.FAULT:
-        said += f", {looked.controller.fault(looked.state)}"
+        said += f", {controller.fault(state)}"
     hint = "see to the drives and the PLC's program"
     return Finding("phase", phase == Phase.HOLDING, said, name, "HOLDING", hint)
 
 
-def _session(looked: Looked) -> Finding:
-    told, ours = int(looked.state["nSession"]), looked.controller.session
+def _session(controller: Controller, state: np.void) -> Finding:
+    told, ours = int(state["nSession"]), controller.session
     said = "the PLC obeys this computer" if told == ours else "the PLC obeys somebody else"
     hint = "end the other client, then connect again"
     return Finding("session", told == ours, said, str(told), str(ours), hint)
@@ -91,16 +77,16 @@ def _watchdog(info: np.void) -> Finding:
     return Finding("watchdog", least <= told <= 1.0, said, told, f"{least:g} … 1 s", hint)
 
 
-def _joint_limits(looked: Looked) -> Finding:
+def _joint_limits(info: np.void, used: Limits) -> Finding:
     """The limits that plans are held against are the stricter ones of maker and PLC."""
-    wider = reported_limits(looked.controller.info).exceeded_by(looked.limits)
+    wider = reported_limits(info).exceeded_by(used)
     said = "joint limits used are no wider than what the PLC checks"
     return Finding("joint-limits", not wider.any(), said, int(wider.sum()), 0)
 
 
-def _ring(looked: Looked) -> Finding:
-    ring, rows = looked.ring, int(looked.controller.info["nRingRows"])
-    seconds = rows * float(looked.controller.info["fCycleS"])
+def _ring(info: np.void, ring: Ring) -> Finding:
+    rows = int(info["nRingRows"])
+    seconds = rows * float(info["fCycleS"])
     said = f"ring of {rows} rows ({seconds:.1f} s): {ring.lost} rows lost in {ring.gaps} gaps"
     said += f", {ring.torn} blocks read again" if ring.torn else ""
     hint = "something kept hil from reading: look for other load on this computer"

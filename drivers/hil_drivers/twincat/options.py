@@ -12,7 +12,6 @@ from hil.arms import load_arm
 from hil.robot import Address, is_loopback
 from hil_drivers.network import host_of, is_ip
 from hil_drivers.option_checks import OptionChecks
-from hil_drivers.twincat.symbols import DEFAULT_PREFIX
 
 RANGES = {
     "port": (1, 65535),
@@ -28,6 +27,7 @@ _CHECKS = OptionChecks("twincat")
 
 WHOLE = ("port", "block_rows", "chunk_bytes")
 ADS_PORT = 48898
+DEFAULT_PREFIX = "GVL_Hil"
 
 _NAME = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*")
 

@@ -1,19 +1,28 @@
-"""Reads the PLC's ring: a block of rows, as long as there is time for it, and what is wrong."""
+"""What a read is made of: rows of the PLC's ring, and whether the arm still obeys.
+
+The PLC writes a row per cycle into a ring; `Ring` pulls them in blocks, every row once and in
+order, and counts what was overwritten before it was read. A row has its number at both ends, so one
+that is being written while it is read is noticed and read again. `Watch` follows the arm by these
+rows and the PLC's state: is it moving, was it taken away from us, does its task stand still?
+`Reading` puts both together: it waits for a block as long as there is time for it, and gives a
+motion up when the PLC is silent. `state_rows` and `reading_rows` turn rows into the base record and
+a topic of their own.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
+from typing import Any
 
 import numpy as np
 
-from hil.core import RobotConnectionError, RobotFault, RobotTimeout, StructArray
-from hil.robot import Topic
+from hil.core import HilError, RobotConnectionError, RobotFault, RobotTimeout, StructArray
+from hil.robot import Status, Topic, state_dtype
 from hil_drivers.twincat.controller import Controller
 from hil_drivers.twincat.options import Options
-from hil_drivers.twincat.rows import TOPIC, HostClock, reading_rows, state_rows
-from hil_drivers.twincat.watch import Watch
+from hil_drivers.twincat.variables import EFFORT_TARGETS, TEMPERATURES, Phase
 
 LEAST_NAP_S, LEAST_WAIT_S = 1e-3, 0.02
 """Shorter no request may wait for its answer [s]."""
@@ -37,7 +46,14 @@ class Reading:
 
     def __init__(self, controller: Controller, options: Options, topic: Topic) -> None:
         self._controller, self._options, self._topic = controller, options, topic
-        self.ring = controller.variables.ring()
+        variables = controller.variables
+        self.ring = Ring(
+            lambda at, size: variables.read("aRing", at, size),
+            variables.layout.row,
+            int(controller.info["nRingRows"]),
+            options.chunk_bytes,
+        )
+        self.ring.begin(int(controller.state()["nHead"]))
         self.watch = Watch(controller.session, options.late_s)
         self._clock = HostClock()
         self._further: list[StructArray] = []
@@ -111,3 +127,269 @@ class Reading:
         self._controller.beat.hush()
         with suppress(RobotConnectionError):
             self._controller.stop()
+
+
+class Watch:
+    """One session with a PLC.
+
+    Args:
+        session: Our number.
+        late_s: Silence of the PLC that ends a motion [s].
+
+    Attributes:
+        problem: What the next read raises.
+        faulty: Whether nothing is obeyed any more, until connected again.
+        moving: Whether a segment was started and no row has shown its end.
+        idle: Whether nothing was started since the connection was made, or the arm was stopped:
+            rows that nobody reads for long may be left out then.
+    """
+
+    def __init__(self, session: int, late_s: float) -> None:
+        self._session, self._late_s = session, late_s
+        self._head, self._since = -1, time.monotonic()
+        self._segment = -1
+        self.problem: HilError | None = None
+        self.faulty = self.moving = False
+        self.idle = True
+
+    def begun(self, segment: int) -> None:
+        """A segment was started."""
+        self._segment, self.moving, self.idle = segment, True, False
+        self._since = time.monotonic()
+
+    def advanced(self, head: int) -> bool:
+        """Whether the PLC has written rows since it was last asked, or was not silent for long."""
+        if head != self._head:
+            self._head, self._since = head, time.monotonic()
+        return not self.silent
+
+    @property
+    def silent(self) -> bool:
+        """Whether it has not been seen to write rows for long."""
+        return time.monotonic() - self._since > self._late_s
+
+    def found(self, problem: HilError) -> None:
+        """Something is wrong: it is told by the next read, the first one only."""
+        self.faulty = True
+        self.problem = self.problem or problem
+
+    def see(self, rows: StructArray, state: np.void, why: Callable[[np.void], str]) -> None:
+        """Look at what was read.
+
+        Args:
+            rows: (N,) state rows.
+            state: `stState`, read before them.
+            why: Words for the fault that it tells.
+        """
+        mine = rows[rows["segment"] == self._segment]
+        if len(mine) and not mine[-1]["status"] & Status.MOVING:
+            self.moving = False
+        if self.faulty:
+            return
+        if (rows["status"] & Status.FAULT).any() or state["nPhase"] == Phase.FAULT:
+            self.found(RobotFault(why(state), hint="remove its cause, then connect() again"))
+        elif state["nSession"] != self._session:
+            self.found(
+                RobotFault(
+                    "the PLC has taken the arm away: it had not heard from this computer in time, "
+                    "or its program was started anew",
+                    hint="was hil suspended, or the computer busy? connect() again",
+                )
+            )
+
+    def stands_still(self, where: str) -> RobotTimeout:
+        """The error for a PLC that answers, but whose program does not run."""
+        return RobotTimeout(
+            f"{where} has written no rows for more than {self._late_s:g} s: its task stands still",
+            hint="see to TwinCAT: is the PLC in run mode, at a breakpoint, or over its cycle time?",
+        )
+
+
+Read = Callable[[int, int], bytes]
+"""Bytes of the ring: from which byte on, and how many."""
+
+SAFE_ROWS = 256
+"""Rows next to being overwritten that are not asked for after an overrun: they were gone by the
+time they are read."""
+
+TORN_AGAIN = 3
+"""How often a block with a torn row is read again."""
+
+
+class Ring:
+    """Follows one ring.
+
+    Args:
+        read: Reads its bytes.
+        row: dtype of a row.
+        rows: Its length.
+        chunk_bytes: Most that is read at once.
+
+    Attributes:
+        next: Sequence number of the row that is read next.
+        gaps: How often rows were overwritten before they were read.
+        lost: How many rows that were.
+        skipped: Rows that nobody wanted: nothing had been started, and nobody had read for long.
+        torn: How often a block was read again because a row in it was being written.
+    """
+
+    def __init__(self, read: Read, row: np.dtype[Any], rows: int, chunk_bytes: int) -> None:
+        self._read, self._row, self._rows = read, row, rows
+        self._most = max(1, chunk_bytes // row.itemsize)
+        self.next = self.gaps = self.lost = self.skipped = self.torn = 0
+        self._behind_gap = -1
+
+    def begin(self, head: int) -> None:
+        """Forget what was before; the next row is the one with this number."""
+        self.next = head
+
+    def forget(self, head: int, keep: int) -> None:
+        """Leave out what is older than the newest `keep` rows before `head`: nobody wants it."""
+        if head - self.next > keep:
+            self.skipped += head - keep - self.next
+            self.next = head - keep
+
+    def pull(self, head: int) -> StructArray:
+        """(N,) rows that have been written and not been read.
+
+        Args:
+            head: Rows written so far; the newest has the number before it.
+
+        Raises:
+            RobotConnectionError: The PLC has begun anew, or gives rows that are none.
+        """
+        if head < self.next:
+            raise RobotConnectionError(
+                f"the PLC's program was started anew: {head} rows written, {self.next} were read",
+                hint="see to the PLC, then connect again",
+            )
+        if head - self.next > self._rows:
+            self._skip_to(head - self._rows + min(SAFE_ROWS, self._rows // 2))
+        blocks = []
+        while self.next < head:
+            block = self._block(min(self._most, head - self.next))
+            blocks.append(block)
+            self.next += len(block)
+        return np.concatenate(blocks) if blocks else np.zeros(0, self._row)
+
+    def _block(self, count: int) -> StructArray:
+        """Rows that lie behind each other; fewer than asked for where the ring turns."""
+        at = self.next % self._rows
+        count = min(count, self._rows - at)
+        size = self._row.itemsize
+        for _ in range(TORN_AGAIN):
+            rows = np.frombuffer(self._read(at * size, count * size), self._row)
+            expected = np.arange(self.next, self.next + count, dtype=np.uint64)
+            whole = (rows["nSequence"] == expected) & (rows["nSequenceEnd"] == expected)
+            if whole.all():
+                return rows
+            newest = int(np.minimum(rows["nSequence"], rows["nSequenceEnd"]).max())
+            if newest >= self.next + self._rows:
+                # Overtaken while reading: what is left of this lap begins behind the newest.
+                self._skip_to(newest - self._rows + 1 + min(SAFE_ROWS, self._rows // 2))
+                return rows[:0]
+            self.torn += 1
+        raise RobotConnectionError(
+            f"row {self.next} of the PLC's ring is none: its number is "
+            f"{int(rows['nSequence'][0])} and {int(rows['nSequenceEnd'][0])}",
+            hint="is another program running in the PLC? connect again",
+        )
+
+    def _skip_to(self, number: int) -> None:
+        """Give up the rows before this number; gaps without a row between them are one."""
+        self.gaps += self.next != self._behind_gap
+        self.lost += number - self.next
+        self.next = self._behind_gap = number
+
+
+NS = 1e-9
+
+_FIELDS = {
+    "q": "aQ", "qd": "aQd", "effort": "aEffort", "q_target": "aQTarget",
+    "qd_target": "aQdTarget", "qdd_target": "aQddTarget", "segment": "nSegment",
+    "status": "nStatus", "fault_code": "nFault", "mode": "nPhase",
+}  # fmt: skip
+"""Field of the base record ← field of a row."""
+
+
+def state_rows(raw: StructArray, offers: int) -> StructArray:
+    """Rows of the ring as the base robot record, without `host_time`.
+
+    Args:
+        raw: (N,) rows.
+        offers: `nOffers`; what the PLC does not measure becomes NaN.
+    """
+    rows = np.zeros(len(raw), state_dtype(raw.dtype["aQ"].shape[0]))
+    rows["device_time"] = raw["nTimeNs"] * NS
+    for name, told in _FIELDS.items():
+        rows[name] = raw[told]
+    rows["temperature"] = raw["aCelsius"] if offers & TEMPERATURES else np.nan
+    rows["effort_target"] = raw["aEffortTarget"] if offers & EFFORT_TARGETS else np.nan
+    return rows
+
+
+class HostClock:
+    """When rows were made by this computer's clock, spread over the time since the last block."""
+
+    def __init__(self) -> None:
+        self._device = self._host = np.nan
+
+    def stamp(self, rows: StructArray, now: float, period_s: float) -> None:
+        """Fill in `host_time`.
+
+        Args:
+            rows: (N,) state rows, N ≥ 1.
+            now: Unix time at which the newest was there [s].
+            period_s: Of the rows [s].
+        """
+        device = rows["device_time"]
+        if np.isnan(self._host):
+            self._device = device[0] - period_s
+            self._host = now - len(rows) * period_s
+        share = (device - self._device) / max(device[-1] - self._device, period_s)
+        rows["host_time"] = self._host + share * (now - self._host)
+        self._device, self._host = float(device[-1]), now
+
+
+TOPIC = "/robot/twincat"
+
+
+def reading_topic(rate_hz: float) -> Topic:
+    """How the ring was read: the number of each row, and what was lost before it.
+
+    Args:
+        rate_hz: Rows per second [Hz].
+    """
+    fields = [
+        ("device_time", "<f8"), ("host_time", "<f8"), ("sequence", "<i8"), ("gaps", "<i4"),
+        ("lost", "<i4"), ("skipped", "<i4"), ("waited", "<i4"),
+    ]  # fmt: skip
+    units = {
+        "device_time": "s", "host_time": "s (Unix time)", "sequence": "row, from 0",
+        "gaps": "so far", "lost": "rows so far", "skipped": "rows so far, not wanted",
+        "waited": "rows in the block",
+    }  # fmt: skip
+    return Topic(
+        name=TOPIC,
+        dtype=np.dtype(fields),
+        rate_hz=rate_hz,
+        clock="controller",
+        units=units,
+        schema_name="hil/msg/TwinCatRow",
+    )
+
+
+def reading_rows(rows: StructArray, raw: StructArray, ring: Ring, topic: Topic) -> StructArray:
+    """What is told of the reading of a block.
+
+    Args:
+        rows: (N,) state rows.
+        raw: (N,) the same as they stood in the ring.
+        ring: Which has just read them.
+        topic: As `reading_topic` makes it.
+    """
+    told = topic.blank(len(rows))
+    told["device_time"], told["host_time"] = rows["device_time"], rows["host_time"]
+    told["sequence"], told["waited"] = raw["nSequence"], len(rows)
+    told["gaps"], told["lost"], told["skipped"] = ring.gaps, ring.lost, ring.skipped
+    return told

@@ -1,24 +1,37 @@
-"""An arm behind a TwinCAT PLC: the PLC plays what was uploaded, and its ring is pulled."""
+"""An arm behind a TwinCAT PLC as `hil` drives it: the PLC owns the cycle, plays and records.
+
+A segment is uploaded, checked by the PLC and played on its own time; meanwhile rows are pulled from
+a ring that the PLC writes in every cycle. So nothing here has to be punctual but the heartbeat and
+the stop, which have lines of their own (`controller`). A command that is not answered might be
+obeyed later: it is followed by a stop, and no further one is given until connected again.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from typing import Any
 
 from hil.arms import Payload
-from hil.core import RobotConnectionError, StructArray
+from hil.core import CommandRefused, RobotConnectionError, RobotFault, RobotTimeout, StructArray
 from hil.robot import Address, Capabilities, Finding, Identity, Limits, Segment, Topic
-from hil_drivers.arm import faulty, not_connected, nothing_prepared, require_liftable
-from hil_drivers.twincat import commanding
-from hil_drivers.twincat.controller import Controller
+from hil_drivers.arm import (
+    faulty,
+    not_connected,
+    nothing_prepared,
+    require_executable,
+    require_liftable,
+)
+from hil_drivers.twincat.controller import Controller, payload_in
 from hil_drivers.twincat.facts import capabilities_of, limits_of
-from hil_drivers.twincat.findings import Looked, findings_of
+from hil_drivers.twincat.findings import findings_of
 from hil_drivers.twincat.options import options_of
-from hil_drivers.twincat.orders import payload_in
 from hil_drivers.twincat.reach import reached
-from hil_drivers.twincat.reading import Reading
-from hil_drivers.twincat.rows import reading_topic
-from hil_drivers.twincat.watch import Watch
+from hil_drivers.twincat.reading import Reading, Watch, reading_topic
+from hil_drivers.twincat.variables import Order, Phase
+
+AT_SET_POINT_RAD = 1e-3
+"""The PLC begins with the first set-point as it is: it has to be where the arm is held."""
 
 
 class TwinCatRobot:
@@ -39,7 +52,7 @@ class TwinCatRobot:
         self._controller: Controller | None = None
         self._reading: Reading | None = None
         self._topic = reading_topic(self._options.rate_hz)
-        self._prepared: commanding.Prepared | None = None
+        self._prepared: tuple[Segment, int] | None = None  # with the `nStop` it may be started at
         self._declared: Payload | None = None
 
     @property
@@ -84,16 +97,7 @@ class TwinCatRobot:
     def checks(self) -> Sequence[Finding]:
         """See `hil.robot.HasChecks`."""
         controller = self._healthy()
-        looked = Looked(
-            controller,
-            controller.runtime_state(),
-            controller.state(),
-            self.limits,
-            self._declared,
-            payload_in(controller.variables.structure("stAnswer")),
-            self._reading_on().ring,
-        )
-        return list(findings_of(looked))
+        return list(findings_of(controller, self._reading_on().ring, self.limits, self._declared))
 
     def connect(self) -> None:
         """Find the PLC's variables, take the arm, begin with the heartbeat.
@@ -122,35 +126,58 @@ class TwinCatRobot:
 
         Raises:
             CommandRefused: It is too heavy, or the arm is moving.
+            RobotError: See `Orders.give`.
         """
         controller = self._healthy()
         require_liftable(payload, self.limits)
-        computed = commanding.declare(controller, self._watch, payload)
+        with self._obeyed(controller):
+            answer = controller.orders.give(
+                Order.PAYLOAD,
+                "declare a load",
+                fMass=payload.mass,
+                aCom=payload.com,
+                aInertia=payload.inertia,
+            )
         self._declared = payload
-        return computed
+        return payload_in(answer)
 
     def prepare(self, segment: Segment) -> None:
         """Check the next segment and upload it; the PLC checks it as well.
 
         Raises:
-            CommandRefused: It leaves the limits, begins elsewhere, or is too long.
+            CommandRefused: It leaves the limits, begins elsewhere, is too long, or the arm moves.
             RobotFault: The arm does not obey any more.
+            RobotError: See `Orders.give`.
         """
         self._prepared = None
         controller = self._healthy()
-        self._prepared = commanding.prepare(controller, self._watch, segment, self.limits)
+        with self._obeyed(controller):
+            state, stops = controller.stops.before_start()
+            if state["nPhase"] in (Phase.PLAYING, Phase.STOPPING):
+                raise CommandRefused("the arm is still moving", hint="read until it is at rest")
+            standing = controller.variables.newest_row()["aQTarget"]
+            require_executable(segment, self.limits, standing, at_set_point_rad=AT_SET_POINT_RAD)
+            if segment.kind != "hold":
+                controller.load(segment)
+        self._prepared = segment, stops
 
     def start(self) -> None:
         """Begin the prepared segment.
 
         Raises:
             CommandRefused: Nothing is prepared, a motion is still on, or it was stopped meanwhile.
+            RobotError: See `Orders.give`.
         """
         prepared, self._prepared = self._prepared, None
         controller = self._healthy()
         if prepared is None:
             raise nothing_prepared()
-        commanding.start(controller, self._watch, prepared)
+        segment, stops = prepared
+        order = Order.HOLD if segment.kind == "hold" else Order.START
+        what = f"start segment {segment.index} ({segment.kind})"
+        with self._obeyed(controller):
+            controller.orders.give(order, what, nSegment=segment.index, nStop=stops)
+        self._watch.begun(segment.index)
 
     def read(self, timeout_s: float = 1.0) -> StructArray:
         """All rows since the last call, a block of `block_rows` where there is time for it.
@@ -214,6 +241,21 @@ class TwinCatRobot:
                 hint="connect() again",
             )
         return controller
+
+    @contextmanager
+    def _obeyed(self, controller: Controller) -> Iterator[None]:
+        """A command that gets no answer might be obeyed later: stop, and give no more of them."""
+        watch = self._watch
+        try:
+            yield
+        except (RobotTimeout, RobotConnectionError):
+            watch.faulty = True
+            with suppress(RobotConnectionError):
+                controller.stop()
+            raise
+        except RobotFault:
+            watch.faulty = True
+            raise
 
     def _let_go(self) -> None:
         controller, self._controller, self._reading = self._controller, None, None

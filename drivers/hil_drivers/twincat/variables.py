@@ -1,22 +1,173 @@
-"""The PLC's variables: found by name once, checked against the contract, read as structures."""
+"""The contract with the PLC: its variables, their layouts, and what the numbers in them mean.
+
+The contract's other half, in structured text, is in docs/how-to/drive-twincat.md. `layout_of` says
+what every variable looks like; `Variables` finds them in the PLC once, holds their sizes against
+the layouts, and reads them as structures.
+
+A program that is changed online moves variables. So every read asks for the version of the symbols
+in the same request, and what is written is written by handle, which such a PLC refuses. Only parts
+of an array cannot be written by handle: before each chunk of set-points the version is looked at,
+and the PLC adds up all words that have arrived (`sums_of`).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import IntEnum
 from typing import Any
 
 import numpy as np
 
-from hil.core import PluginError, RobotConnectionError
+from hil.core import PluginError, RobotConnectionError, StructArray
 from hil.robot import Segment
-from hil_drivers.twincat.facts import require_contract
-from hil_drivers.twincat.line import Line
+from hil_drivers.twincat.ads import RUN, STATES, Line, Place, changed_online, one
 from hil_drivers.twincat.options import Options
-from hil_drivers.twincat.places import Place, one
-from hil_drivers.twincat.return_codes import RUN, STATES, changed_online
-from hil_drivers.twincat.ring import Ring
-from hil_drivers.twincat.symbols import Layout
-from hil_drivers.twincat.upload import set_points, sums_of, upload
+
+CONTRACT = 2
+"""Version of it; a PLC with another one is not driven."""
+
+TORQUE, CURRENT = 1, 2
+"""`nEffort`."""
+
+TEMPERATURES, EFFORT_TARGETS = 1, 2
+"""Bits of `nOffers`."""
+
+
+class Phase(IntEnum):
+    """`nPhase`: what the arm is doing."""
+
+    NOT_READY = 0
+    HOLDING = 1
+    PLAYING = 2
+    STOPPING = 3
+    FAULT = 4
+
+
+class Order(IntEnum):
+    """`nCommand`."""
+
+    TAKE = 1
+    LOAD = 2
+    START = 3
+    HOLD = 4
+    PAYLOAD = 5
+    RELEASE = 6
+
+
+class Result(IntEnum):
+    """`nResult` of an answer."""
+
+    DONE = 0
+    UNKNOWN = 1
+    NOT_YOURS = 2
+    HELD = 3
+    BUSY = 4
+    CHECKSUM = 5
+    TOO_MANY = 6
+    POSITION = 7
+    VELOCITY = 8
+    ACCELERATION = 9
+    ELSEWHERE = 10
+    NOT_LOADED = 11
+    STOPPED = 12
+    FAULT = 13
+    TOO_HEAVY = 14
+    NOT_AT_REST = 15
+    NO_NUMBER = 16
+    JUMP = 17
+
+
+REASONS: Mapping[int, str] = {
+    Result.UNKNOWN: "it does not know this command",
+    Result.NOT_YOURS: "somebody else has the arm, or nobody since this connection fell silent",
+    Result.HELD: "another client has the arm",
+    Result.BUSY: "the arm is moving",
+    Result.CHECKSUM: "what it received is not what was sent",
+    Result.TOO_MANY: "there are more set-points than it has room for",
+    Result.POSITION: "it leaves the joint range",
+    Result.VELOCITY: "it is too fast",
+    Result.ACCELERATION: "it accelerates too hard",
+    Result.ELSEWHERE: "it begins elsewhere than the arm stands",
+    Result.NOT_LOADED: "no set-points are loaded",
+    Result.STOPPED: "it was stopped meanwhile",
+    Result.FAULT: "it has a fault",
+    Result.TOO_HEAVY: "the load is too heavy",
+    Result.NOT_AT_REST: "it does not begin and end at rest",
+    Result.NO_NUMBER: "it holds numbers that are none",
+    Result.JUMP: "set-points are farther apart than the joint can go in a cycle",
+}
+"""What the PLC means by the results other than DONE."""
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """What the PLC's variables look like for an arm with n joints.
+
+    Attributes:
+        types: Variable without prefix → dtype; of arrays, of one element.
+    """
+
+    types: Mapping[str, np.dtype[Any]]
+
+    @property
+    def row(self) -> np.dtype[Any]:
+        """A row of the ring."""
+        return self.types["aRing"]
+
+    @property
+    def set_point(self) -> np.dtype[Any]:
+        """A row of the trajectory."""
+        return self.types["aSetPoints"]
+
+
+def layout_of(n: int) -> Layout:
+    """Layouts for n joints; every field lies at a multiple of its size."""
+    axes = (n,)
+    info = [
+        ("fCycleS", "<f8"), ("fWatchdogS", "<f8"), ("fStopRadS2", "<f8"), ("fPayloadMax", "<f8"),
+        ("aQMin", "<f8", axes), ("aQMax", "<f8", axes), ("aQdMax", "<f8", axes),
+        ("aQddMax", "<f8", axes), ("nAxes", "<u4"), ("nRingRows", "<u4"),
+        ("nSetPoints", "<u4"), ("nEffort", "<u4"), ("nOffers", "<u4"), ("nSpare", "<u4"),
+        ("sModel", "S32"),
+        ("sSerial", "S32"), ("sProgram", "S32"),
+    ]  # fmt: skip
+    load = [("fMass", "<f8"), ("aCom", "<f8", (3,)), ("aInertia", "<f8", (6,))]
+    command = [
+        ("nCounter", "<u4"), ("nCommand", "<u4"), *load, ("nSession", "<u4"), ("nSegment", "<i4"),
+        ("nRows", "<u4"), ("nSumA", "<u4"), ("nSumB", "<u4"), ("nStop", "<u4"), ("nSpare", "<u4"),
+        ("nCounterEnd", "<u4"),
+    ]  # fmt: skip
+    answer = [
+        ("nCounter", "<u4"), ("nResult", "<u4"), *load, ("nSumA", "<u4"), ("nSumB", "<u4"),
+        ("nSession", "<u4"), ("nCommand", "<u4"), ("nWhere", "<i4"), ("nCounterEnd", "<u4"),
+    ]  # fmt: skip
+    state = [
+        ("nHead", "<u8"), ("nSession", "<u4"), ("nStop", "<u4"), ("nPhase", "<u4"),
+        ("nFault", "<u4"), ("sFault", "S80"),
+    ]  # fmt: skip
+    targets = ("aQ", "aQd", "aQdd")
+    measured = (
+        "aQ", "aQd", "aEffort", "aCelsius", "aQTarget", "aQdTarget", "aQddTarget", "aEffortTarget",
+    )  # fmt: skip
+    row = [
+        ("nSequence", "<u8"), ("nTimeNs", "<u8"), *((name, "<f8", axes) for name in measured),
+        ("nSegment", "<i4"), ("nStatus", "<u4"), ("nFault", "<u4"), ("nPhase", "<u4"),
+        ("nSequenceEnd", "<u8"),
+    ]  # fmt: skip
+    fields: dict[str, Any] = {
+        "nContract": "<u4",
+        "stInfo": info,
+        "stCommand": command,
+        "stAnswer": answer,
+        "stBeat": [("nSession", "<u4"), ("nCount", "<u4")],
+        "nStop": "<u4",
+        "stState": state,
+        "aSetPoints": [(name, "<f8", axes) for name in targets],
+        "aRing": row,
+    }
+    return Layout({name: np.dtype(each) for name, each in fields.items()})
+
 
 LENGTHS = {"aSetPoints": "nSetPoints", "aRing": "nRingRows"}
 """Arrays, and which field of `stInfo` tells their length."""
@@ -40,19 +191,26 @@ class Variables:
         RobotError: The line fails, or the runtime does not run.
 
     Attributes:
+        layout: As given.
         info: `stInfo` as it was read.
         moved: Called when the program turns out to have been changed online, before that is told.
     """
 
     def __init__(self, line: Line, layout: Layout, options: Options) -> None:
-        self._line, self._layout, self._options = line, layout, options
+        self._line, self.layout, self._options = line, layout, options
         self.moved: Callable[[], None] = lambda: None
         self._require_running()
         self._version = line.version()
         self._handles: dict[str, Place] = {}
         prefix = options.prefix
         self._places = {name: line.place(f"{prefix}.{name}") for name in layout.types}
-        require_contract(line.where, int(self.structure("nContract")))
+        if (contract := int(self.structure("nContract"))) != CONTRACT:
+            raise PluginError(
+                f"{line.where}: its program keeps version {contract} of the contract, this driver "
+                f"{CONTRACT}",
+                hint="download the PLC program of docs/how-to/drive-twincat.md, or the hil that "
+                "fits",
+            )
         for name, kind in layout.types.items():
             self._require_size(name, kind)
         self.info = self.structure("stInfo")
@@ -91,7 +249,7 @@ class Variables:
 
     def structure(self, name: str, line: Line | None = None) -> np.void:
         """A variable that is no array, now; raises as `read`."""
-        return one(self.read(name, line=line), self._layout.types[name])
+        return one(self.read(name, line=line), self.layout.types[name])
 
     def command(self, data: bytes) -> None:
         """Write `stCommand`; raises as `read`."""
@@ -100,29 +258,14 @@ class Variables:
 
     def newest_row(self) -> np.void:
         """The row of the ring that was written last."""
-        rows, size = int(self.info["nRingRows"]), self._layout.row.itemsize
+        rows, size = int(self.info["nRingRows"]), self.layout.row.itemsize
         at = (int(self.structure("stState")["nHead"]) - 1) % rows * size
-        return one(self.read("aRing", at, size), self._layout.row)
-
-    def ring(self) -> Ring:
-        """The ring, from now on."""
-        ring = Ring(
-            lambda at, size: self.read("aRing", at, size),
-            self._layout.row,
-            int(self.info["nRingRows"]),
-            self._options.chunk_bytes,
-        )
-        ring.begin(int(self.structure("stState")["nHead"]))
-        return ring
+        return one(self.read("aRing", at, size), self.layout.row)
 
     def upload(self, segment: Segment) -> dict[str, Any]:
         """Write the set-points of a segment; returns the fields of the command that loads them."""
-        rows = set_points(segment, self._layout.set_point)
-        upload(
-            rows,
-            self._write_set_points,
-            self._options.chunk_bytes,
-        )
+        rows = set_points(segment, self.layout.set_point)
+        upload(rows, self._write_set_points, self._options.chunk_bytes)
         a, b = sums_of(rows)
         return {"nRows": len(rows), "nSumA": a, "nSumB": b}
 
@@ -155,8 +298,45 @@ class Variables:
 
     def _require_length(self, name: str) -> None:
         size, count = self._places[name].size, int(self.info[LENGTHS[name]])
-        if count < 1 or size != count * self._layout.types[name].itemsize:
+        if count < 1 or size != count * self.layout.types[name].itemsize:
             raise PluginError(
                 f"{self._line.where}: {name} has {size} bytes, stInfo tells of {count} rows",
                 hint="let the PLC program fill stInfo from the constants of the arrays",
             )
+
+
+Write = Callable[[bytes, int], None]
+"""Puts bytes into the PLC's array of set-points, from this byte on."""
+
+SUM_MODULO = 2**32
+
+
+def set_points(segment: Segment, kind: np.dtype[Any]) -> StructArray:
+    """(N,) rows of the PLC's array for the samples of a segment."""
+    rows = np.zeros(len(segment.q), kind)
+    rows["aQ"], rows["aQd"], rows["aQdd"] = segment.q, segment.qd, segment.qdd
+    return rows
+
+
+def upload(rows: StructArray, write: Write, chunk_bytes: int) -> None:
+    """Write set-points, whole rows at a time.
+
+    Args:
+        rows: (N,) set-points.
+        write: Writes.
+        chunk_bytes: Most that is written at once.
+    """
+    most = max(1, chunk_bytes // rows.itemsize)
+    for first in range(0, len(rows), most):
+        write(rows[first : first + most].tobytes(), first * rows.itemsize)
+
+
+def sums_of(rows: StructArray) -> tuple[int, int]:
+    """The sum of all 32-bit words, and the sum of its intermediate results, modulo 2³².
+
+    The second one knows the order: words that are exchanged change it (J. G. Fletcher, 1982).
+    """
+    words = np.frombuffer(rows.tobytes(), "<u4").astype(np.uint64)
+    # Wraps at 2⁶⁴, which keeps what is left modulo 2³².
+    weights = np.arange(len(words), 0, -1, dtype=np.uint64)
+    return int(words.sum()) % SUM_MODULO, int((weights * words).sum()) % SUM_MODULO
