@@ -17,7 +17,7 @@ from hil.data import Dataset, filter_columns
 from hil.estimators.checks import require_sizes
 from hil.estimators.consistent import MASS_FACTOR, InertialBounds
 from hil.estimators.friction_curve import best_exponent, power_of_speed
-from hil.estimators.least_squares import JointwiseQR, Solution, jointwise_least_squares
+from hil.estimators.least_squares import Solution
 from hil.estimators.parameters import choice, flag, number, parameter
 from hil.estimators.rigid_linear import TERMS, RigidClassical
 from hil.estimators.rigid_lmi import PRIOR, feasible
@@ -114,10 +114,6 @@ class RigidIrls(RigidClassical):
                 break
         self.scale_ = fit.scale
         self._adopt(data, fit.solution)
-
-    def _estimate(self, observed: JointwiseQR) -> Solution:
-        """Where the loops begin."""
-        return jointwise_least_squares(observed, weighted=True)
 
     def _consistent(self, found: Solution) -> FloatArray:
         """The inner loop: coefficients (p,) of a robot that can exist."""

@@ -3,7 +3,8 @@
 The base regressor of the arm (rotor inertias included) is set beside three friction columns per
 joint, tanh(qd/width), qd and 1, and fitted to K·i. `RigidLinear` holds what is the same for every
 method: what is subtracted (declared loads), how signals are filtered, how a fitted model predicts.
-A method overrides the one step that turns observations into coefficients, `_estimate`.
+A method overrides one step: `_estimate`, from compressed observations to coefficients, or
+`_learn`, if it needs every sample.
 
 - `RigidWls` (`rigid-wls`): ordinary least squares first, then again with every joint weighted by
   the reciprocal variance of its own residual (Jubien, Gautier & Janot 2014, "Method 1" of the PINN
@@ -19,7 +20,6 @@ A method overrides the one step that turns observations into coefficients, `_est
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
@@ -103,9 +103,9 @@ class RigidLinear(WlsEstimator):
     sign_width: float = SIGN_WIDTH
     filters: FilterSettings = FILTERS
 
-    @abstractmethod
     def _estimate(self, observed: JointwiseQR) -> Solution:
         """The step in which methods differ: coefficients from compressed observations."""
+        return jointwise_least_squares(observed, weighted=True)
 
     def needs(self, robot: RobotModel, *, loaded: bool = False) -> Needs:
         """Return what a fit cannot do without: as many samples as parameters, and drive gains."""
