@@ -3,9 +3,11 @@ from .base import GROUP as GROUP
 from .base import HONEST as HONEST
 from .base import RobotEstimator as RobotEstimator
 from .base import WlsEstimator as WlsEstimator
+from .base import dwells_of as dwells_of
 from .base import estimator as estimator
 from .base import load_model_file as load_model_file
 from .base import load_of as load_of
+from .base import motion_of as motion_of
 from .base import needs_of as needs_of
 from .base import payload_torque as payload_torque
 from .base import prepared as prepared
@@ -117,5 +119,3 @@ from .static_model import one_row_each as one_row_each
 from .static_model import scatter as scatter
 from .streaming import MemorylessStream as MemorylessStream
 from .streaming import one_sample as one_sample
-from .torque_request import dwells_of as dwells_of
-from .torque_request import motion_of as motion_of

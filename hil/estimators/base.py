@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -96,7 +97,7 @@ class RobotEstimator(Parametrised):
         return HONEST
 
     def extras(self) -> Mapping[str, str]:
-        """Extras of this distribution that a fit needs, and what for; asked before any motion."""
+        """Extras of this distribution that a fit needs, and what for; checked before any motion."""
         return {}
 
     def needs(self, robot: RobotModel, *, loaded: bool = False) -> Needs:
@@ -127,7 +128,7 @@ class RobotEstimator(Parametrised):
 
     @abstractmethod
     def fitted_arrays(self) -> dict[str, FloatArray]:
-        """What the fit found, for the model file."""
+        """The fitted numbers, for the model file."""
 
     @abstractmethod
     def restore(self, arrays: dict[str, FloatArray], facts: dict[str, Any]) -> None:
@@ -350,6 +351,41 @@ def load_of(condition: Conditions) -> Payload:
     return condition.payload_identified or condition.payload
 
 
+def motion_of(
+    model: RobotEstimator, t: FloatArray, q: FloatArray, qd: FloatArray, qdd: FloatArray
+) -> Dataset:
+    """One series at times (N,) with motion (N, n), filtered already, nothing mounted, no effort."""
+    columns = {"t": t, "q": q, "qd": qd, "effort": np.zeros_like(q)}
+    columns |= {"q_f": q, "qd_f": qd, "qdd_f": qdd, "effort_f": np.zeros_like(q)}
+    x, y, z = (float(value) for value in model.robot_.gravity_vector)
+    return Dataset(
+        robot=model.robot_.name,
+        joint_names=model.joint_names_,
+        effort_kind="torque" if model.effort_kind_ == "torque" else "current",
+        columns=columns,
+        offsets=np.array([0, len(t)], dtype=np.int64),
+        conditions=(Conditions("asked", "trajectory"),),
+        drive_gains=model.torque_scale_,
+        gravity=(x, y, z),
+    )
+
+
+def dwells_of(
+    model: RobotEstimator, q: FloatArray, load: Payload | None = None, **columns: FloatArray
+) -> Dataset:
+    """A dwell of one row at each of the positions (N, n), with what else is measured there."""
+    still = np.zeros_like(q)
+    whole = motion_of(model, np.arange(len(q), dtype=np.float64), q, still, still)
+    ids = [f"dwell{k}" for k in range(len(q))]
+    mounted: dict[str, Any] = {} if load is None else {"payload": load}
+    return replace(
+        whole,
+        columns={**whole.columns, **columns},
+        offsets=np.arange(len(q) + 1),
+        conditions=tuple(Conditions(one, "dwell", pose=k, **mounted) for k, one in enumerate(ids)),
+    )
+
+
 STD_ERROR_GIVEN = (
     "exact drive gains, declared loads, kinematics and form of the model; the residual's "
     "autocorrelation within a series is accounted for"
@@ -443,22 +479,22 @@ class WlsEstimator(RobotEstimator):
             observed.add(W, target)
         return observed
 
-    def _adopt(self, data: Dataset, found: Solution) -> None:
+    def _adopt(self, data: Dataset, solution: Solution) -> None:
         """Take over a solution; sets the fitted attributes."""
-        require_rank(found.rank, found.condition, self.parameter_names_, found.system[0])
-        self.coefficients_, self.condition_ = found.coefficients, found.condition
-        self.sigma_ = found.sigma / self.torque_scale_
-        self._tell_uncertainty(data, found)
+        require_rank(solution.rank, solution.condition, self.parameter_names_, solution.system[0])
+        self.coefficients_, self.condition_ = solution.coefficients, solution.condition
+        self.sigma_ = solution.sigma / self.torque_scale_
+        self._set_uncertainty(data, solution)
 
-    def _tell_uncertainty(self, data: Dataset, found: Solution) -> None:
+    def _set_uncertainty(self, data: Dataset, solution: Solution) -> None:
         """Set `correlated_samples_` and `std_error_`."""
-        residual = self._residual(data, found.coefficients)
+        residual = self._residual(data, solution.coefficients)
         self.correlated_samples_ = correlated_samples(residual, data.offsets)
         # (XᵀWX)⁻¹ XᵀW·V·WX (XᵀWX)⁻¹ with V the variance of a joint times its correlation time.
-        X, _, joint = found.system
-        deviation = found.sigma * np.sqrt(self.correlated_samples_)
-        score = X * (found.weight * deviation)[joint, None]
-        self.std_error_ = np.linalg.norm(score @ found.bread, axis=0)
+        X, _, joint = solution.system
+        deviation = solution.sigma * np.sqrt(self.correlated_samples_)
+        score = X * (solution.weight * deviation)[joint, None]
+        self.std_error_ = np.linalg.norm(score @ solution.bread, axis=0)
 
     def _residual(self, data: Dataset, coefficients: FloatArray) -> FloatArray:
         """(N, n) target less regressor times coefficients (p,)."""
@@ -479,9 +515,9 @@ class WlsEstimator(RobotEstimator):
     def _all_parts(
         self, dataset: Dataset, q: FloatArray, qd: FloatArray, qdd: FloatArray
     ) -> dict[str, FloatArray]:
-        found = [self._parts(q[rows], qd[rows], qdd[rows]) for rows in chunks(dataset)]
-        names = found[0] if found else ()
-        return {name: np.concatenate([part[name] for part in found]) for name in names}
+        pieces = [self._parts(q[rows], qd[rows], qdd[rows]) for rows in chunks(dataset)]
+        names = pieces[0] if pieces else ()
+        return {name: np.concatenate([part[name] for part in pieces]) for name in names}
 
     def _load_effort(
         self, load: Payload, q: FloatArray, qd: FloatArray, qdd: FloatArray

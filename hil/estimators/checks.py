@@ -309,7 +309,7 @@ def _require_possible(dataset: Dataset) -> None:
     for name, most in IMPOSSIBLE.items():
         if name not in dataset.columns:
             continue
-        # What is not finite is told elsewhere.
+        # `require_clean` reports what is not finite.
         values = np.abs(dataset[name])
         for row, joint in np.argwhere(np.isfinite(values) & (values > most))[:1]:
             series = dataset.conditions[int(dataset.series_index()[row])]
@@ -327,5 +327,4 @@ def _limit(dataset: Dataset, robot: RobotModel) -> FloatArray:
     if dataset.effort_kind == "torque":
         return torque
     gains = LEAST_GAIN if dataset.drive_gains is None else dataset.drive_gains
-    found: FloatArray = torque / gains
-    return found
+    return np.asarray(torque / gains)

@@ -87,8 +87,8 @@ class SpeedBands:
                    edges[j], coverage, strict)
             for j in joints
         ]  # fmt: skip
-        found = np.array(bands).reshape(len(joints), ranges, 2)
-        return cls(coverage, np.array(edges), found[..., 0].copy(), found[..., 1].copy())
+        pairs = np.array(bands).reshape(len(joints), ranges, 2)
+        return cls(coverage, np.array(edges), pairs[..., 0].copy(), pairs[..., 1].copy())
 
     def half_width(self, qd: FloatArray) -> FloatArray:
         """(N, n) half width of the band at velocities (N, n) or (n,); NaN where that is NaN."""
@@ -183,12 +183,12 @@ def _bands(
 ) -> list[tuple[float, float]]:  # fmt: skip
     """Half width and what is guaranteed of it, for each range of one joint."""
     where = range_numbers(speeds[:, None], edges[None])[:, 0]
-    found = []
+    bands = []
     for chosen in range(len(edges) + 1):
         first, last = window_of(chosen, where, blocks, len(edges) + 1, LEAST_SAMPLES)
         rows = (where >= first) & (where <= last)
-        found.append(conformal_quantile(sizes[rows], blocks[rows], coverage, strict=strict))
-    return found
+        bands.append(conformal_quantile(sizes[rows], blocks[rows], coverage, strict=strict))
+    return bands
 
 
 def speed_edges(speeds: FloatArray, ranges: int, standstill: float) -> FloatArray:

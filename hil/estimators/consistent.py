@@ -256,9 +256,9 @@ class InertialBounds:
         heavy = masses >= AT_BOUND * self.mass_max
         if not np.any(heavy):
             return ()
-        told = ", ".join(name for name, at in zip(joint_names, heavy, strict=True) if at)
+        names = ", ".join(name for name, at in zip(joint_names, heavy, strict=True) if at)
         return (
-            f"the links behind {told} are as heavy as they may be: was a load mounted that is not "
+            f"the links behind {names} are as heavy as they may be: was a load mounted that is not "
             "declared, or is the robot's nominal model of another arm?",
         )
 

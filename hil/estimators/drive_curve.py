@@ -25,8 +25,7 @@ Constants = FloatArray | float
 
 def has_current(torque: FloatArray, k1: Constants, k2: Constants, k0: Constants = 0.0) -> BoolArray:
     """Whether there is a current for each torque."""
-    found: BoolArray = _discriminant(torque - k0, k1, k2) >= 0.0
-    return found
+    return np.asarray(_discriminant(torque - k0, k1, k2) >= 0.0)
 
 
 def nearest_current(
@@ -118,9 +117,9 @@ def fit_currents(data: Currents, squares: list[int]) -> CurrentFit:
     J, residual = _linearised(data, theta, squares)
     step = weighted_least_squares(J, residual, data.weight)
     sums = ClusterSums.of(J, residual, data.weight, data.pose)
-    found = clustered_covariance(step.bread, sums)
+    clustered = clustered_covariance(step.bread, sums)
     p = data.X.shape[1]
-    return CurrentFit(theta[:p], theta[p:], found, residual, step.rank, step.condition, J)
+    return CurrentFit(theta[:p], theta[p:], clustered, residual, step.rank, step.condition, J)
 
 
 def _settled(data: Currents, squares: list[int]) -> FloatArray:
@@ -132,7 +131,7 @@ def _settled(data: Currents, squares: list[int]) -> FloatArray:
     from scipy.optimize import least_squares
 
     root = np.sqrt(data.weight)
-    found = least_squares(
+    minimum = least_squares(
         lambda theta: root * (data.current - _predicted(data, theta, squares)[0]),
         np.append(straight, np.zeros(len(squares))),
         lambda theta: -root[:, None] * _linearised(data, theta, squares)[0],
@@ -142,12 +141,12 @@ def _settled(data: Currents, squares: list[int]) -> FloatArray:
         xtol=1e-15,
         gtol=1e-15,
     )
-    if not (found.success and np.all(_predicted(data, found.x, squares)[1])):
+    if not (minimum.success and np.all(_predicted(data, minimum.x, squares)[1])):
         raise FitError(
             "the drive's curve (K₂ of eq. 16) did not settle: the data tell too little about it",
             hint="fit with square: zero, or record poses with larger gravity torques",
         )
-    return np.asarray(found.x)
+    return np.asarray(minimum.x)
 
 
 def _predicted(

@@ -74,16 +74,16 @@ def read_gains(path: Path) -> DriveGains:
     Raises:
         SpecError: The file cannot be read, or has no `drive_gains_nm_a` of positive numbers.
     """
-    found = read_source(path).data
-    told = found.get(KEY) if isinstance(found, dict) else None
-    numbers = told if isinstance(told, list) else []
+    content = read_source(path).data
+    document = content if isinstance(content, dict) else {}
+    listed_gains = document.get(KEY)
+    numbers = listed_gains if isinstance(listed_gains, list) else []
     if not numbers or not all(_is_gain(number) for number in numbers):
         raise SpecError(
             f"{path}: holds no {KEY}: a list of numbers above 0, one per joint",
             hint="write it with: hil gains SOURCE -o gains.yaml",
         )
-    assert isinstance(found, dict)
-    source = str(found.get(SOURCE_KEY) or path.name)
+    source = str(document.get(SOURCE_KEY) or path.name)
     return DriveGains(np.array(numbers, dtype=np.float64), source)
 
 
@@ -113,7 +113,7 @@ def write_gains(path: Path, lines: Sequence[str]) -> None:
 
 
 KEPT = "as declared before"
-"""Said of joints whose gain was not found."""
+"""In the source of the gains, of joints whose gain was not determined."""
 
 CALIBRATED = ("calibrated with ", "the controller's current per torque ")
 """What the sources begin with that `hil gains` writes."""
@@ -135,7 +135,7 @@ def gain_lines(
 
     Args:
         names: Length n, the joints.
-        gain: (n,) gains found [N·m/A].
+        gain: (n,) measured gains [N·m/A].
         reasons: Length n, why a joint's gain is not determined; empty where it is.
         declared: (n,) gains that joints which were not determined keep, or None: then there are
             no lines unless all were, because a map needs a gain for every joint.
@@ -147,8 +147,8 @@ def gain_lines(
     kept = gain if declared is None else declared
     values = np.where([not reason for reason in reasons], gain, kept)
     source += f"; {', '.join(other)} {KEPT}" if other else ""
-    told = ", ".join(f"{value:.3f}" for value in values)
-    return [f"drive_gains_nm_a: [{told}]", f'drive_gains_source: "{source}"']
+    text = ", ".join(f"{value:.3f}" for value in values)
+    return [f"drive_gains_nm_a: [{text}]", f'drive_gains_source: "{source}"']
 
 
 def listed(values: FloatArray) -> list[float | None]:
@@ -331,9 +331,9 @@ def _of_joint(pairs: GainPairs, j: int) -> _Joint:
     line = instrumental(current, torque, torque[:, None], pairs.pose)
     gain, error = float(line.coefficients[0]), float(line.std_error[0])
     if not error < MOST_ERROR * abs(gain):
-        told = f"{gain:.3g} ± {error:.2g} N·m/A"
+        estimate = f"{gain:.3g} ± {error:.2g} N·m/A"
         return _Joint(
-            reason=f"the loads add at most {most:.2g} N·m, too little against friction: {told}"
+            reason=f"the loads add at most {most:.2g} N·m, too little against friction: {estimate}"
         )
     if gain <= 0:
         return _Joint(reason=f"{gain:.3g} ± {error:.2g} N·m/A is not above 0: {NOT_POSITIVE}")
@@ -413,7 +413,7 @@ def paired(dwells: Dataset, robot: RobotModel) -> GainPairs:
     )
     at = _poses(q)
     rows, poses, sides = _differences(dwells, at, load, values)
-    # Approached from both sides: +1 and −1. Where nobody knows, a pose has the approach 0 only.
+    # Approached from both sides: +1 and −1. Where it is not known, a pose has the approach 0 only.
     both = 2 in sides
     kept = [k for k, count in enumerate(sides) if count == (2 if both else 1)]
     stacked = np.array([rows[k] for k in kept]).reshape(-1, 5, dwells.n_joints)
@@ -453,13 +453,13 @@ def _differences(
     for series, (pose, condition) in enumerate(zip(poses, dwells.conditions, strict=True)):
         # Of a dwell that was measured again in a later attempt, the last one counts.
         at.setdefault((pose, condition.approach), {})[int(load[series])] = series
-    found: dict[tuple[int, int], list[FloatArray]] = {}
+    rises: dict[tuple[int, int], list[FloatArray]] = {}
     for (pose, _), under in at.items():
         for heavier in sorted(under.keys() - {0} if 0 in under else ()):
             rise = values[under[heavier]] - values[under[0]]
-            found.setdefault((pose, heavier), []).append(rise)
-    rows = [np.mean(each, axis=0) for each in found.values()]
-    return rows, [pose for pose, _ in found], [len(each) for each in found.values()]
+            rises.setdefault((pose, heavier), []).append(rise)
+    rows = [np.mean(each, axis=0) for each in rises.values()]
+    return rows, [pose for pose, _ in rises], [len(each) for each in rises.values()]
 
 
 def _left_out(measured: set[int], used: set[int], both: bool) -> Iterator[str]:
@@ -610,10 +610,10 @@ def _controller_joint(data: Dataset, j: int, sign_width: float) -> _ControllerJo
     variance = clustered_covariance(line.bread, sums).covariance[0, 0]
     gain, error = 1.0 / slope, np.sqrt(variance) / slope**2
     share = float(np.sqrt(np.mean(residual**2) / np.mean(current**2)))
-    told = f"{gain:.3g} ± {error:.2g} N·m/A"
+    estimate = f"{gain:.3g} ± {error:.2g} N·m/A"
     if slope <= 0 or not error < MOST_ERROR * gain:
         return _ControllerJoint(
-            residual=share, reason=f"its current does not follow its torque: {told}"
+            residual=share, reason=f"its current does not follow its torque: {estimate}"
         )
     return _ControllerJoint(float(gain), float(error), share)
 
@@ -629,10 +629,10 @@ def _spread_notes(data: Dataset, sign_width: float) -> Iterator[str]:
         return
     parts = [part for i in range(len(data.conditions)) if len(part := data.take([i])) >= LEAST_ROWS]
     for j, name in enumerate(data.joint_names):
-        found = [
+        gains = [
             joint.gain
             for part in parts
             if not (joint := _controller_joint(part, j, sign_width)).reason
         ]
-        if len(found) > 1 and np.ptp(found) > MOST_SPREAD * np.mean(found):
-            yield f"{name}: series by series {min(found):.2f} to {max(found):.2f} N·m/A"
+        if len(gains) > 1 and np.ptp(gains) > MOST_SPREAD * np.mean(gains):
+            yield f"{name}: series by series {min(gains):.2f} to {max(gains):.2f} N·m/A"

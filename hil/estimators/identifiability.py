@@ -17,7 +17,7 @@ from hil.dynamics import conditioning
 from hil.estimators.least_squares import upper_triangle
 
 SHOWN = 3
-"""Directions that are told, and parameters named of each."""
+"""Directions that are reported, and parameters named of each."""
 
 FAINTEST = 0.1
 """A parameter with a smaller part in a direction is not named."""
@@ -87,7 +87,7 @@ def condition_report(X: FloatArray, names: Sequence[str]) -> ConditionReport:
 
 def _direction(gain: float, vector: FloatArray, names: Sequence[str]) -> Direction:
     order = np.argsort(-np.abs(vector))[:SHOWN]
-    # A direction has no sign: its largest part is told as positive.
+    # A direction has no sign: its largest part is shown as positive.
     sign = 1.0 if vector[order[0]] >= 0 else -1.0
     chosen = [i for i in order if abs(vector[i]) >= FAINTEST]
     return Direction(gain, tuple((names[i], float(sign * vector[i])) for i in chosen))

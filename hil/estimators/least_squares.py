@@ -8,7 +8,7 @@ bounded and weighting again costs nothing. `jointwise_least_squares` is the solu
 about directions that the data do not excite.
 
 Behind it stand the relatives that other estimators choose instead, each a function of X and y:
-ridge regression with a penalty found on trajectories or groups of poses left out, total least
+ridge regression with a penalty chosen on trajectories or groups of poses left out, total least
 squares for regressors with noise, and instrumental variables. Standard errors of correlated
 observations are in `hil.estimators.covariance`, losses other than squares in
 `hil.estimators.robust`, scikit-learn's contract in `hil.estimators.regression`.
@@ -198,15 +198,13 @@ def jointwise_least_squares(observed: JointwiseQR, *, weighted: bool) -> Solutio
     Source: Jubien, Gautier & Janot 2014 (IDIM-WLS).
     """
     system = X, y, joint = observed.system()
-    found, weight = weighted_least_squares(X, y), np.ones(len(observed.rows))
-    sigma = observed.residual_std(found.coefficients)
+    fit, weight = weighted_least_squares(X, y), np.ones(len(observed.rows))
+    sigma = observed.residual_std(fit.coefficients)
     if weighted:
         weight = 1.0 / at_least_rounding(sigma, y) ** 2
-        found = weighted_least_squares(X, y, weight[joint])
-        sigma = observed.residual_std(found.coefficients)
-    return Solution(
-        found.coefficients, sigma, weight, found.bread, found.rank, found.condition, system
-    )
+        fit = weighted_least_squares(X, y, weight[joint])
+        sigma = observed.residual_std(fit.coefficients)
+    return Solution(fit.coefficients, sigma, weight, fit.bread, fit.rank, fit.condition, system)
 
 
 def at_least_rounding(sigma: FloatArray, y: FloatArray) -> FloatArray:
@@ -335,8 +333,7 @@ class GroupedRidge:
     def leverages(self, X: FloatArray) -> FloatArray:
         """(N,) how much of one observation's variance a prediction at X (N, F) inherits."""
         Z = self._standardised(X)
-        found: FloatArray = np.einsum("nf,fg,ng->n", Z, self.leverage, Z)
-        return found
+        return np.asarray(np.einsum("nf,fg,ng->n", Z, self.leverage, Z))
 
     def _standardised(self, X: FloatArray) -> FloatArray:
         return np.clip((X - self.mean) / self.scale, -FARTHEST, FARTHEST)

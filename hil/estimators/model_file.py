@@ -166,8 +166,7 @@ def read_document(path: Path) -> dict[str, Any]:
             f"{path} was written by a newer hil: format {version}, known here {MODEL_FORMAT}",
             hint="update hil (pip install --upgrade hil)",
         )
-    found: dict[str, Any] = document
-    return found
+    return dict(document)
 
 
 def read_arrays(path: Path, digest: str) -> dict[str, FloatArray]:
@@ -267,7 +266,7 @@ class Training:
         samples: Rows.
         effort_std: (n,) standard deviation of the effort, the scale for NRMSE.
         rows: Fingerprints of the samples.
-        serial: Serial number of the robot; empty when nobody said.
+        serial: Serial number of the robot; empty if unknown.
         payloads: The loads declared; None in older model files.
     """
 

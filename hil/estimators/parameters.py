@@ -160,16 +160,16 @@ def number(
     limits = [f"at least {at_least:g}"] if at_least is not None else []
     limits += [f"above {above:g}"] if above is not None else []
     limits += [f"at most {at_most:g}"] if at_most is not None else []
-    found = _float(value)
+    checked = _float(value)
     if (
-        not math.isfinite(found)
-        or (at_least is not None and found < at_least)
-        or (above is not None and found <= above)
-        or (at_most is not None and found > at_most)
+        not math.isfinite(checked)
+        or (at_least is not None and checked < at_least)
+        or (above is not None and checked <= above)
+        or (at_most is not None and checked > at_most)
     ):
         wanted = " and ".join(limits)
         raise SpecError(f"{name} is {value!r:.60}, but must be a number {wanted}".rstrip())
-    return found
+    return checked
 
 
 def _float(value: Any) -> float:
@@ -197,11 +197,11 @@ def share(name: str, value: Any) -> float:
     Raises:
         SpecError: It is not; the message names the parameter.
     """
-    found = number(name, value, above=0.0)
-    if found >= 1.0:
-        hint = f"{found / 100:g}, if it is in percent" if 1.0 < found < 100.0 else "0.5 is half"
-        raise SpecError(f"{name} is {found:g}, but must be a share below 1", hint=hint)
-    return found
+    checked = number(name, value, above=0.0)
+    if checked >= 1.0:
+        hint = f"{checked / 100:g}, if it is in percent" if 1.0 < checked < 100.0 else "0.5 is half"
+        raise SpecError(f"{name} is {checked:g}, but must be a share below 1", hint=hint)
+    return checked
 
 
 def flag(name: str, value: Any) -> bool:
@@ -261,7 +261,7 @@ def settings(name: str, value: Any, kind: type[Settings]) -> Settings:
 
 
 def require_known(given: dict[str, Any], known: tuple[str, ...], of: str) -> None:
-    """Refuse parameters nobody knows, naming those that exist.
+    """Refuse unknown parameters, naming those that exist.
 
     Raises:
         SpecError: A given parameter is not among the known ones.

@@ -56,13 +56,13 @@ class WeightedLeastSquares(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         X, y = validate_data(self, X, y, dtype=np.float64, y_numeric=True)
         weight = _weights(sample_weight, len(X))
         design = np.column_stack([X, np.ones(len(X))]) if self.fit_intercept else X
-        found = weighted_least_squares(design, y, weight, self.rank_tolerance)
-        degrees = int(np.count_nonzero(weight)) - found.rank
-        self.sigma_ = np.sqrt(found.squares / degrees) if degrees > 0 else np.nan
-        self.rank_, self.condition_, self.bread_ = found.rank, found.condition, found.bread
-        self.coef_ = found.coefficients[: X.shape[1]]
-        self.intercept_ = float(found.coefficients[-1]) if self.fit_intercept else 0.0
-        self.unscaled_covariance_ = found.bread[: X.shape[1], : X.shape[1]]
+        solution = weighted_least_squares(design, y, weight, self.rank_tolerance)
+        degrees = int(np.count_nonzero(weight)) - solution.rank
+        self.sigma_ = np.sqrt(solution.squares / degrees) if degrees > 0 else np.nan
+        self.rank_, self.condition_, self.bread_ = solution.rank, solution.condition, solution.bread
+        self.coef_ = solution.coefficients[: X.shape[1]]
+        self.intercept_ = float(solution.coefficients[-1]) if self.fit_intercept else 0.0
+        self.unscaled_covariance_ = solution.bread[: X.shape[1], : X.shape[1]]
         self.std_error_ = self.sigma_ * np.sqrt(np.diag(self.unscaled_covariance_))
         return self
 
@@ -89,7 +89,7 @@ class ClusteredLeastSquares(WeightedLeastSquares):
     """Weighted least squares with cluster-robust standard errors and intervals.
 
     Args:
-        fit_intercept: Add a constant column; its own uncertainty is not told.
+        fit_intercept: Add a constant column; its own uncertainty is left out.
         rank_tolerance: As in `WeightedLeastSquares`.
         correction: For few clusters, `CR1` or `CR2`, see `hil.estimators.covariance`.
 
@@ -133,10 +133,10 @@ class ClusteredLeastSquares(WeightedLeastSquares):
         residual = y - X @ self.coef_ - self.intercept_
         design = np.column_stack([X, np.ones(len(X))]) if self.fit_intercept else X
         sums = ClusterSums.of(design, residual, weight, groups)
-        found = clustered_covariance(self.bread_, sums, self.correction)
+        errors = clustered_covariance(self.bread_, sums, self.correction)
         p = X.shape[1]
         self.n_clusters_ = len(sums.score)
-        self.covariance_, self.degrees_ = found.covariance[:p, :p], found.degrees[:p]
+        self.covariance_, self.degrees_ = errors.covariance[:p, :p], errors.degrees[:p]
         self.std_error_ = np.sqrt(np.diag(self.covariance_))
         return self
 

@@ -163,7 +163,7 @@ class RigidDiffnea(RigidLinear):
                 f"the data determine only {found.rank} directions of the parameters (condition "
                 f"number {found.condition:.2g}); along the others they are the nominal arm's",
             )
-        self._tell_uncertainty(data, found)
+        self._set_uncertainty(data, found)
 
     def _residual(self, data: Dataset, coefficients: FloatArray) -> FloatArray:
         # The columns of shapes tell how the residual bends, not what it is.

@@ -115,10 +115,10 @@ class RigidIrls(RigidClassical):
         self.scale_ = fit.scale
         self._adopt(data, fit.solution)
 
-    def _consistent(self, found: Solution) -> FloatArray:
+    def _consistent(self, solution: Solution) -> FloatArray:
         """The inner loop: coefficients (p,) of a robot that can exist."""
         bounds = InertialBounds.nominal(self.robot_, mass_factor=self.mass_factor)
-        consistent = feasible(found, self._base, bounds, self.prior)
+        consistent = feasible(solution, self._base, bounds, self.prior)
         self.inertial_ = consistent.inertial
         reached = bounds.reached(self.inertial_, self.joint_names_)
         self.notes_ = (*bounds.notes, *reached)
@@ -162,7 +162,9 @@ class RigidIrls(RigidClassical):
         rigid = np.any(W.reshape(20, n, -1) != 0.0, axis=0)
         return np.hstack([rigid, np.kron(np.eye(n, dtype=bool), np.ones(len(TERMS), bool))])
 
-    def _sample_weights(self, rest: FloatArray, found: Solution) -> tuple[FloatArray, FloatArray]:
-        z = rest * np.sqrt(found.weight)
+    def _sample_weights(
+        self, rest: FloatArray, solution: Solution
+    ) -> tuple[FloatArray, FloatArray]:
+        z = rest * np.sqrt(solution.weight)
         weight, slope = robust_weights(z, self.loss), influence_slope(z, self.loss)
-        return weight * found.weight, slope * found.weight
+        return weight * solution.weight, slope * solution.weight

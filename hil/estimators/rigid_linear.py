@@ -284,7 +284,7 @@ class RigidClassical(RigidLinear):
         }
 
     def fitted_facts(self) -> dict[str, Any]:
-        """Those of every linear model; how the errors were found."""
+        """Those of every linear model; what the errors allow for, and the excitation."""
         facts = super().fitted_facts()
         facts["std_error"]["method"] = MEANING[self.covariance]
         return facts | {"excitation": self.excitation_}
@@ -316,46 +316,46 @@ class RigidClassical(RigidLinear):
             return {name: data[FILTERED + name] for name in terms}
         return {name: filter_columns(term, data, self.filters) for name, term in terms.items()}
 
-    def _tell_uncertainty(self, data: Dataset, found: Solution) -> None:
-        p = len(found.coefficients)
-        scores, residual = self._scores(data, found)
+    def _set_uncertainty(self, data: Dataset, solution: Solution) -> None:
+        p = len(solution.coefficients)
+        scores, residual = self._scores(data, solution)
         self.correlated_samples_ = correlated_samples(residual, data.offsets)
         if self.covariance == "clustered":
-            told = trajectory_covariance(found.bread, scores)
+            errors = trajectory_covariance(solution.bread, scores)
         else:
             window = hac_window(self.correlated_samples_, len(data))
-            told = hac_covariance(found.bread, scores, window)
-        self.covariance_ = told.covariance if self.certain else np.full((p, p), np.nan)
-        self.degrees_ = told.degrees
-        self.excitation_ = self._told_excitation(found, len(data))
-        self.std_error_ = np.sqrt(np.diag(told.covariance))
+            errors = hac_covariance(solution.bread, scores, window)
+        self.covariance_ = errors.covariance if self.certain else np.full((p, p), np.nan)
+        self.degrees_ = errors.degrees
+        self.excitation_ = self._excitation_report(solution, len(data))
+        self.std_error_ = np.sqrt(np.diag(errors.covariance))
 
-    def _told_excitation(self, found: Solution, samples: int) -> dict[str, Any]:
-        X, y = found.weighted_system()
+    def _excitation_report(self, solution: Solution, samples: int) -> dict[str, Any]:
+        X, y = solution.weighted_system()
         report = condition_report(X, self.parameter_names_).facts()
         if not self.certain:
             return report
         # Samples that repeat each other count once, for the test to be as strict as it says.
         times = self.correlated_samples_
-        root = np.sqrt(times)[found.system[2]]
+        root = np.sqrt(times)[solution.system[2]]
         independent = float(np.sum(samples / times))
         names = self.parameter_names_
         essential = essential_parameters(X / root[:, None], y / root, names, independent)
         return report | {"essential": essential.facts()}
 
-    def _scores(self, data: Dataset, found: Solution) -> tuple[Scores, FloatArray]:
+    def _scores(self, data: Dataset, solution: Solution) -> tuple[Scores, FloatArray]:
         """Scores of the weighted least squares, and the residual (N, n).
 
         Only clustered errors ask for XᵀWX of every series; otherwise it stays 0.
         """
-        p = len(found.coefficients)
+        p = len(solution.coefficients)
         score, gram = np.empty((len(data), p)), np.zeros((len(data.conditions), p, p))
         residual = np.empty_like(data["q"])
         series = data.series_index()
         for rows, W, target in self._observations(data):
-            rest = target - (W @ found.coefficients).reshape(target.shape)
+            rest = target - (W @ solution.coefficients).reshape(target.shape)
             residual[rows] = rest
-            drive, curvature = self._sample_weights(rest, found)
+            drive, curvature = self._sample_weights(rest, solution)
             cube = W.reshape(*rest.shape, p)
             score[rows] = np.einsum("tjp,tj->tp", cube, drive * rest)
             if self.covariance == "clustered":  # costs as much as the fit itself
@@ -364,9 +364,11 @@ class RigidClassical(RigidLinear):
                     gram[number] += np.tensordot(cube[own], weighted[own], ((0, 1), (0, 1)))
         return Scores(score, gram, data.offsets, data.n_joints), residual
 
-    def _sample_weights(self, rest: FloatArray, found: Solution) -> tuple[FloatArray, FloatArray]:
+    def _sample_weights(
+        self, rest: FloatArray, solution: Solution
+    ) -> tuple[FloatArray, FloatArray]:
         """ψ(r)/r and ψ′(r) of residuals (N, n), each (N, n): equal where squares are minimised."""
-        weight = np.broadcast_to(found.weight, rest.shape)
+        weight = np.broadcast_to(solution.weight, rest.shape)
         return weight, weight
 
 
@@ -422,9 +424,9 @@ class RigidLeastSquares(RigidClassical):
         return self.method in ("ols", "wls")
 
     def fitted_facts(self) -> dict[str, Any]:
-        """Those of every classical method, with what the method found."""
-        found = {"ridge": {"alpha": self.alpha_}, "tls": {"gap": self.gap_}}
-        return super().fitted_facts() | found.get(self.method, {})
+        """Those of every classical method, with what the method chose."""
+        own = {"ridge": {"alpha": self.alpha_}, "tls": {"gap": self.gap_}}
+        return super().fitted_facts() | own.get(self.method, {})
 
     def restore(self, arrays: dict[str, FloatArray], facts: dict[str, Any]) -> None:
         """Take over what `fitted_arrays` and `fitted_facts` wrote."""
@@ -432,8 +434,8 @@ class RigidLeastSquares(RigidClassical):
         self.alpha_ = float(facts.get("alpha", 0.0))
         self.gap_ = float(facts.get("gap") or np.inf)
 
-    def _tell_uncertainty(self, data: Dataset, found: Solution) -> None:
-        super()._tell_uncertainty(data, found)
+    def _set_uncertainty(self, data: Dataset, solution: Solution) -> None:
+        super()._set_uncertainty(data, solution)
         if not self.certain:
             self.std_error_ = np.full_like(self.std_error_, np.nan)
 
@@ -447,34 +449,34 @@ class RigidLeastSquares(RigidClassical):
         del self._parts_of, self._noise
 
     def _estimate(self, observed: JointwiseQR) -> Solution:
-        found = jointwise_least_squares(observed, weighted=self.method != "ols")
+        solution = jointwise_least_squares(observed, weighted=self.method != "ols")
         if self.method not in ("ridge", "tls"):
-            return found
-        X, y = found.weighted_system()
+            return solution
+        X, y = solution.weighted_system()
         if self.method == "tls":
-            coefficients = self._total(found, X, y)
+            coefficients = self._total(solution, X, y)
         elif self.alpha is not None:
             self.alpha_ = self.alpha
             coefficients = ridge(X, y, self.alpha, self._penalised(X.shape[1]))
         else:
-            coefficients = self._left_out(found)
+            coefficients = self._left_out(solution)
         sigma = observed.residual_std(coefficients)
-        return replace(found, coefficients=coefficients, sigma=sigma)
+        return replace(solution, coefficients=coefficients, sigma=sigma)
 
-    def _left_out(self, found: Solution) -> FloatArray:
+    def _left_out(self, solution: Solution) -> FloatArray:
         parts = []
         for part in self._parts_of:
             X, y, joint = part.system()
-            root = np.sqrt(found.weight)[joint]
+            root = np.sqrt(solution.weight)[joint]
             parts.append((X * root[:, None], y * root))
         best = left_out_ridge(parts, self._penalised(parts[0][0].shape[1]))
         self.alpha_ = best.alpha
         return best.coefficients
 
-    def _total(self, found: Solution, X: FloatArray, y: FloatArray) -> FloatArray:
+    def _total(self, solution: Solution, X: FloatArray, y: FloatArray) -> FloatArray:
         assert self._noise is not None
         # (n, p + 1) noise per joint, as it is in weighted rows, pooled over the joints.
-        noise = np.sqrt(np.mean(found.weight[:, None] * self._noise**2, axis=0))
+        noise = np.sqrt(np.mean(solution.weight[:, None] * self._noise**2, axis=0))
         columns, target = noise[:-1], float(noise[-1])
         # Rows of the compressed system are worth many samples each; only ratios matter.
         exact = columns <= KNOWN_EXACTLY * np.linalg.norm(X, axis=0)

@@ -37,20 +37,20 @@ one part in four hundred, but with 1 links come out thinner than they can be bui
 
 
 def feasible(
-    found: Solution, base: BaseParameters, bounds: InertialBounds, prior: float
+    solution: Solution, base: BaseParameters, bounds: InertialBounds, prior: float
 ) -> Consistent:
     """The consistent solution with the least sum of squares in the weighting of another one.
 
     Args:
-        found: Without constraints; base parameters first, then `TERMS` joint by joint.
+        solution: Without constraints; base parameters first, then `TERMS` joint by joint.
         base: Base parameters of the robot.
         bounds: Of its links.
         prior: See `RigidLmi`.
     """
-    X, y = found.weighted_system()
+    X, y = solution.weighted_system()
     # Unweighted rows are in N·m: in standard deviations the prior means the same for both.
-    sigma = at_least_rounding(found.sigma, found.system[1])
-    pooled = np.sqrt(np.mean(found.weight * sigma**2))
+    sigma = at_least_rounding(solution.sigma, solution.system[1])
+    pooled = np.sqrt(np.mean(solution.weight * sigma**2))
     return consistent_least_squares(
         X / pooled,
         y / pooled,

@@ -78,7 +78,7 @@ class Reweighting:
         fit = self._settle(begun, self._loss, None, MOST)
         if self._constrain is not None:
             fit = self._settle(fit, self._loss, self._constrain, MOST_CONSTRAINED)
-        return replace(fit, solution=self._told(fit))
+        return replace(fit, solution=self._with_uncertainty(fit))
 
     def _begin(self) -> Reweighted:
         """Least squares, joints weighted; for Tukey, which is not convex, Huber's solution."""
@@ -105,21 +105,21 @@ class Reweighting:
         self, scale: FloatArray, weight: FloatArray, constrain: Constrain | None, rounds: int
     ) -> Reweighted:
         system = X, y, joint = self._rows.system(weight)
-        found = weighted_least_squares(X, y, (1.0 / scale**2)[joint])
+        fitted = weighted_least_squares(X, y, (1.0 / scale**2)[joint])
         solution = Solution(
-            coefficients=found.coefficients,
+            coefficients=fitted.coefficients,
             sigma=scale,
             weight=1.0 / scale**2,
-            bread=found.bread,
-            rank=found.rank,
-            condition=found.condition,
+            bread=fitted.bread,
+            rank=fitted.rank,
+            condition=fitted.condition,
             system=system,
         )
         if constrain is not None:
             solution = replace(solution, coefficients=constrain(solution))
         return Reweighted(solution, scale, weight, rounds)
 
-    def _told(self, fit: Reweighted) -> Solution:
+    def _with_uncertainty(self, fit: Reweighted) -> Solution:
         """The solution with plain deviations, and the bread of the loss's own curvature."""
         rest = self._rows.residual(fit.solution.coefficients)
         slope = influence_slope(rest / fit.scale, self._loss)
