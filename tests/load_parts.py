@@ -10,8 +10,7 @@ from synthetic_motion import moving, nominal, raw
 
 from hil.arms.payload import Payload
 from hil.data.dataset import Dataset
-from hil.estimators.payload_estimate import PayloadEstimate
-from hil.estimators.payload_fit import estimate_payload
+from hil.estimators.payload import PayloadEstimate, estimate_payload
 from hil.estimators.rigid_linear import RigidWls
 
 NOISE_A = 0.03

@@ -10,7 +10,7 @@ import pytest
 from hil.data import Dataset
 from hil.dynamics import load_model
 from hil.estimators.drive_gains import controller_gains
-from hil.estimators.payload_cross_validation import payload_halves
+from hil.estimators.payload import payload_halves
 from hil.estimators.rigid_hysteresis import RigidHysteresis
 from hil.estimators.rigid_linear import RigidWls
 from hil.importers import import_recording

@@ -12,7 +12,7 @@ from hil.data import Dataset
 from hil.data.filters import prepare
 from hil.estimators.consistent import InertialBounds
 from hil.estimators.friction_memory import carried_step, dahl_states
-from hil.estimators.payload_problem import _filtered
+from hil.estimators.payload import _filtered
 from hil.estimators.rigid_hysteresis import RigidHysteresis
 
 GROUPS = ["load", "speed p"]

@@ -16,10 +16,16 @@ from hil.core.errors import DataError, FitError, SpecError
 from hil.data import Conditions, Dataset
 from hil.dynamics import payload_parameters
 from hil.dynamics.inertial import is_consistent, pseudo_inertia
-from hil.estimators.load_body import central, central_jacobian, nearest_body, payload_of
-from hil.estimators.payload_cross_validation import payload_halves
-from hil.estimators.payload_fit import estimate_payload, true_values
-from hil.estimators.payload_problem import with_identified
+from hil.estimators.payload import (
+    central,
+    central_jacobian,
+    estimate_payload,
+    nearest_body,
+    payload_halves,
+    payload_of,
+    true_values,
+    with_identified,
+)
 from hil.estimators.rigid_linear import RigidWls
 
 NOISE_A = 0.02

@@ -11,7 +11,7 @@ from load_parts import OFF_AXIS, ON_AXIS, estimates
 from scipy.stats import norm
 
 from hil.arms.payload import Payload
-from hil.estimators.payload_declared import FALSE_ALARM, Floor, check_declarations
+from hil.estimators.payload_declaration import FALSE_ALARM, Floor, check_declarations
 
 SEEDS = range(100, 107)
 """Arms; three loads each."""

@@ -12,8 +12,8 @@ from synthetic_motion import GAINS, LOAD, dwelling, moving, nominal, plant
 from hil.arms.payload import Payload
 from hil.core.errors import DataError, FitError
 from hil.data import Dataset
-from hil.estimators.payload_fit import true_values
-from hil.estimators.payload_rest import estimate_payload_at_rest
+from hil.estimators.payload import true_values
+from hil.estimators.payload_at_rest import estimate_payload_at_rest
 from hil.estimators.rigid_linear import RigidWls
 from hil.estimators.static_model import StaticWls
 

@@ -12,8 +12,8 @@ from test_identify_payload import NOISE_A, under_load
 
 from hil.data import Dataset
 from hil.estimators.drive_gains import controller_gains
-from hil.estimators.payload_declared import FALSE_ALARM, check_declarations
-from hil.estimators.payload_fit import estimate_payload, true_values
+from hil.estimators.payload import estimate_payload, true_values
+from hil.estimators.payload_declaration import FALSE_ALARM, check_declarations
 from hil.estimators.rigid_linear import RigidWls
 
 pytestmark = [pytest.mark.proof, pytest.mark.timeout(600)]

@@ -14,7 +14,7 @@ from hil.core.errors import DataError
 from hil.dynamics import load_model
 from hil.dynamics.robot_model import may_be
 from hil.estimators.base import load_model_file
-from hil.estimators.payload_fit import estimate_payload
+from hil.estimators.payload import estimate_payload
 from hil.estimators.rigid_linear import RigidWls
 from hil.evaluation import evaluate
 from hil.evaluation.validation_load import under_load

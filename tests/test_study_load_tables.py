@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hil.arms.payload import Payload
-from hil.estimators.payload_estimate import NAMES
+from hil.estimators.payload import NAMES
 from hil.studies.load_score import TOLD
 from hil.studies.load_tables import TORQUES, WAYS, declarations, errors, figures, identified
 

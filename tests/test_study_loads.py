@@ -19,7 +19,7 @@ from hil.arms.payload import Payload
 from hil.cli.app import app
 from hil.core.errors import DataError, FitError, PluginError, SpecError
 from hil.data.splits import assert_disjoint
-from hil.estimators.payload_declared import Declaration
+from hil.estimators.payload_declaration import Declaration
 from hil.estimators.rigid_linear import RigidWls
 from hil.studies.base import study
 from hil.studies.inverse_cases import recorded as recorded_from

@@ -16,7 +16,7 @@ from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.dynamics import load_model
 from hil.estimators.drive_gains import controller_gains
-from hil.estimators.payload_cross_validation import HalfTested, payload_halves
+from hil.estimators.payload import HalfTested, payload_halves
 
 TRUE_KG = 2.805
 GOAL_RAW_A, GOAL_MASS_SHARE = 0.125, 0.05

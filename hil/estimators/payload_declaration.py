@@ -9,13 +9,17 @@ beside it leave probable. Trusted is the largest set of loads that agree with on
 A quantity contradicts its declaration when it is further off than a limit that correct ones of a
 load all keep, except with the probability `false_alarm`: Student's t by the estimate's blocks of
 time, gains of `GAIN_SHARE`, and a `Floor` for other errors of the model.
+
+A load that contradicts its declaration does so by a `Finding` with a name: its mass, its centre, a
+tool mounted the wrong way round, its inertia, or an inertia that no body has.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Literal
 
 import numpy as np
 from scipy import stats
@@ -23,9 +27,7 @@ from scipy import stats
 from hil.arms import Payload
 from hil.core import FloatArray
 from hil.dynamics import GAIN_SHARE
-from hil.estimators.payload_estimate import PayloadEstimate
-from hil.estimators.payload_findings import Finding, findings, mount_observable
-from hil.estimators.payload_fit import true_values
+from hil.estimators.payload import PayloadEstimate, true_values
 
 FALSE_ALARM = 0.002
 """How often a correct declaration may be called wrong."""
@@ -139,7 +141,7 @@ class _Case:
         covariance = self.covariance + self.by_gain @ spread @ self.by_gain.T
         limit = self.reach * np.sqrt(np.diag(covariance))
         return Declaration(
-            self.declared, found, limit, findings(self.declared, found, limit), trusted,
+            self.declared, found, limit, tuple(_findings(self.declared, found, limit)), trusted,
             mount_observable(self.declared, limit), gains,
         )  # fmt: skip
 
@@ -190,3 +192,99 @@ def _others(cases: Sequence[_Case], chosen: frozenset[int], but: int) -> list[_C
 
 def _all(cases: Sequence[_Case]) -> list[tuple[int, _Case]]:
     return list(enumerate(cases))
+
+
+TURNED_RAD = np.radians(45.0)
+"""A centre that is turned about the flange's axis by as much is a tool mounted the wrong way."""
+
+SLACK = 1e-9
+"""Share of an inertia by which rounding may take it out of what bodies can have."""
+
+Kind = Literal["mass", "centre", "mount", "inertia", "no body"]
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One contradiction.
+
+    Attributes:
+        kind: What is wrong: the mass, the centre of mass, the angle of the mount, the inertia, or
+            that no body has such an inertia.
+        text: The same with figures, for people.
+    """
+
+    kind: Kind
+    text: str
+
+
+def _findings(declared: Payload, found: FloatArray, limit: FloatArray) -> Iterator[Finding]:
+    """What contradicts a declaration.
+
+    Args:
+        declared: The load.
+        found: (10,) identified, in the order of `PayloadEstimate.values`.
+        limit: (10,) how far off each may be.
+    """
+    more = found[0] - declared.mass
+    if abs(more) > limit[0]:
+        told = f"{abs(more):.2f} kg {'heavier' if more > 0 else 'lighter'} than declared"
+        yield Finding("mass", f"{told} (±{limit[0]:.2f} kg)")
+    if declared.is_empty:
+        return  # the centre of nothing is nowhere
+    turn = 0.0
+    com, reach = np.array(declared.com), limit[1:4]
+    if np.any(np.abs(found[1:4] - com) > reach):
+        turn = _turn(com, found[1:4], reach)
+        yield _centre(com, found[1:4], turn)
+    yield from _inertia(_matrix(np.array(declared.inertia)), turn, found[4:], limit[4:])
+
+
+def mount_observable(declared: Payload, limit: FloatArray) -> bool:
+    """Whether half a turn about the flange's axis would move the centre by more than its limit."""
+    x, y, _ = (abs(value) for value in declared.com)
+    return bool(not declared.is_empty and (2 * x > limit[1] or 2 * y > limit[2]))
+
+
+def _centre(com: FloatArray, found: FloatArray, turn: float) -> Finding:
+    distance = 1e3 * float(np.linalg.norm(found - com))
+    if turn:
+        return Finding("mount", f"turned by {np.degrees(turn):.0f}° about the flange's axis")
+    by = ", ".join(f"{1e3 * value:+.0f}" for value in found - com)
+    return Finding("centre", f"centre of mass {distance:.0f} mm off: by ({by}) mm")
+
+
+def _turn(com: FloatArray, found: FloatArray, reach: FloatArray) -> float:
+    """Angle about z that explains where the centre was found [rad]; 0 when none does."""
+    angle = np.arctan2(found[1], found[0]) - np.arctan2(com[1], com[0])
+    angle = float((angle + np.pi) % (2 * np.pi) - np.pi)
+    explained = np.all(np.abs(_about_z(angle) @ com - found) <= reach)
+    return angle if explained and abs(angle) >= TURNED_RAD else 0.0
+
+
+def _inertia(
+    declared: FloatArray, turn: float, found: FloatArray, limit: FloatArray
+) -> Iterator[Finding]:
+    if not np.any(declared):
+        return  # nobody declared one
+    half = 0.5 * float(np.trace(declared))
+    if np.linalg.eigvalsh(half * np.eye(3) - declared)[0] < -SLACK * max(abs(half), 1e-300):
+        yield Finding("no body", "no body has the inertia declared")
+        return
+    R = _about_z(turn)
+    turned = R @ declared @ R.T
+    off = found - turned[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    worst = int(np.argmax(np.abs(off) / limit))
+    if abs(off[worst]) > limit[worst]:
+        name = ("Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")[worst]
+        told = f"{name} {abs(off[worst]):.3g} kg·m² {'more' if off[worst] > 0 else 'less'}"
+        yield Finding("inertia", f"{told} than declared (±{limit[worst]:.2g} kg·m²)")
+
+
+def _about_z(angle: float) -> FloatArray:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _matrix(six: FloatArray) -> FloatArray:
+    xx, yy, zz, xy, xz, yz = six
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
