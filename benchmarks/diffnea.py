@@ -20,11 +20,8 @@ from threadpoolctl import threadpool_limits
 
 from hil.core.typing import FloatArray
 from hil.dynamics import RobotModel, base_parameters
-from hil.estimators.diffnea.bodies import Bodies
-from hil.estimators.diffnea.forms import FORMS, spread
-from hil.estimators.diffnea.motion import ArmMotion, sign_of
-from hil.estimators.diffnea.problem import Problem
-from hil.estimators.diffnea.unknowns import Unknowns, folding
+from hil.estimators.diffnea import Bodies, Problem, Unknowns, folding
+from hil.estimators.diffnea_friction import FORMS, ArmMotion, sign_of, spread
 from hil.estimators.least_squares import upper_triangle
 
 SAMPLES, QUICK_SAMPLES = 12_000, 1_000

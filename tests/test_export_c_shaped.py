@@ -9,7 +9,7 @@ from synthetic_motion import moving, nominal
 
 from hil.core.errors import FitError
 from hil.estimators import estimator
-from hil.estimators.diffnea.forms import FORMS
+from hil.estimators.diffnea_friction import FORMS
 from hil.export.c_build import built, compiler, self_tested
 from hil.export.c_export import export_c
 from hil.export.reading import program_of

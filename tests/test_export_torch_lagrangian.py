@@ -12,7 +12,7 @@ from synthetic_memory import remembering  # noqa: E402
 from synthetic_motion import moving, nominal  # noqa: E402
 
 from hil.estimators import estimator  # noqa: E402
-from hil.estimators.diffnea.forms import FORMS  # noqa: E402
+from hil.estimators.diffnea_friction import FORMS  # noqa: E402
 from hil.export.agreement import largest_difference  # noqa: E402
 from hil.export.golden import golden_of  # noqa: E402
 from hil.export.torch_export import export_torch  # noqa: E402

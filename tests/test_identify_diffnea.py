@@ -25,7 +25,7 @@ from hil.dynamics import base_parameters
 from hil.dynamics.inertial import is_consistent
 from hil.estimators import estimator
 from hil.estimators.base import load_model_file
-from hil.estimators.rigid_diffnea import RigidDiffnea
+from hil.estimators.diffnea import RigidDiffnea
 from hil.estimators.rigid_linear import RigidWls
 
 SEEDS = (1, 2, 3)

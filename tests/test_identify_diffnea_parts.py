@@ -10,13 +10,8 @@ from synthetic_motion import nominal
 from hil.core.typing import FloatArray
 from hil.dynamics import base_parameters
 from hil.dynamics.inertial import divergence, is_consistent
-from hil.estimators.diffnea.bodies import Bodies
-from hil.estimators.diffnea.forms import FORMS, spread
-from hil.estimators.diffnea.minimise import Local, minimise
-from hil.estimators.diffnea.motion import ArmMotion, sign_of
-from hil.estimators.diffnea.problem import Problem
-from hil.estimators.diffnea.rows import BendingRows
-from hil.estimators.diffnea.unknowns import Unknowns, folding
+from hil.estimators.diffnea import Bodies, Local, Problem, Unknowns, folding, minimise
+from hil.estimators.diffnea_friction import FORMS, ArmMotion, BendingRows, sign_of, spread
 from hil.estimators.friction_memory import Pieces, dahl_slopes, dahl_states
 from hil.estimators.least_squares import JointwiseQR
 

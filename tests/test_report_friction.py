@@ -18,8 +18,8 @@ from synthetic_motion import (
     nominal,
 )
 
-from hil.estimators.diffnea.forms import FORMS
-from hil.estimators.rigid_diffnea import RigidDiffnea
+from hil.estimators.diffnea import RigidDiffnea
+from hil.estimators.diffnea_friction import FORMS
 from hil.estimators.rigid_irls import RigidIrls
 from hil.estimators.rigid_linear import RigidWls
 from hil.estimators.static_model import StaticWls

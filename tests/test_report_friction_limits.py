@@ -10,7 +10,7 @@ from synthetic_motion import dwelling, moving, nominal
 
 from hil.data.dataset import PREPARED, Dataset
 from hil.data.prediction import Prediction
-from hil.estimators.rigid_diffnea import RigidDiffnea
+from hil.estimators.diffnea import RigidDiffnea
 from hil.estimators.rigid_irls import RigidIrls
 from hil.estimators.rigid_linear import RigidLeastSquares, RigidWls
 from hil.estimators.static_model import StaticWls

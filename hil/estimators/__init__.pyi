@@ -25,8 +25,9 @@ from .conformal import STANDSTILL as STANDSTILL
 from .conformal import SpeedBands as SpeedBands
 from .consistent import InertialBounds as InertialBounds
 from .consistent import consistent_least_squares as consistent_least_squares
-from .diffnea.forms import FORMS as FORMS
-from .diffnea.forms import LEAST_SPEED as LEAST_SPEED
+from .diffnea import RigidDiffnea as RigidDiffnea
+from .diffnea_friction import FORMS as FORMS
+from .diffnea_friction import LEAST_SPEED as LEAST_SPEED
 from .drive_curve import has_current as has_current
 from .drive_gains import ControllerGains as ControllerGains
 from .drive_gains import DriveGains as DriveGains
@@ -92,7 +93,6 @@ from .payload_at_rest import estimate_payload_at_rest as estimate_payload_at_res
 from .payload_declaration import FALSE_ALARM as FALSE_ALARM
 from .payload_declaration import Declaration as Declaration
 from .payload_declaration import check_declarations as check_declarations
-from .rigid_diffnea import RigidDiffnea as RigidDiffnea
 from .rigid_hysteresis import RigidHysteresis as RigidHysteresis
 from .rigid_irls import NARROWEST as NARROWEST
 from .rigid_irls import RigidIrls as RigidIrls

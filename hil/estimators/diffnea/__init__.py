@@ -1,1 +1,0 @@
-"""Rigid-body identification in coordinates whose every point is an arm that can exist."""
