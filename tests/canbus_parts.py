@@ -14,9 +14,8 @@ from pathlib import Path
 import can
 import pytest
 
-from hil.can.frame import FRAME, pack_frame
-from hil.can.hosted_hub import HostedHub, hub_thread
-from hil.can.hub import Hub
+from hil.can.frames import FRAME, pack_frame
+from hil.can.hub import HostedHub, Hub, hub_thread
 
 
 @pytest.fixture

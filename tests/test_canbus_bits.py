@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hil.can.bits import bus_load, frame_bits
+from hil.can.frames import bus_load, frame_bits
 
 
 @pytest.mark.parametrize("n_bytes", range(9))

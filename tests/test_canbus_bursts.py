@@ -9,7 +9,7 @@ import pytest
 
 from hil.can import bursts
 from hil.can.bursts import MOST, Burst, Catch
-from hil.can.frame import pack_frame
+from hil.can.frames import pack_frame
 
 FRAMES = [pack_frame(0x80, b"")] + [pack_frame(0x200 + n, bytes([n] * n)) for n in range(1, 7)]
 

@@ -8,7 +8,7 @@ import can
 import pytest
 
 from hil.can.candump import CandumpWriter, line_of, logged_in, read_candump
-from hil.can.frame import ERROR, EXTENDED, REMOTE, Frame
+from hil.can.frames import ERROR, EXTENDED, REMOTE, Frame
 from hil.core.errors import DataError, RecordingError
 
 pytestmark = pytest.mark.quick

@@ -11,8 +11,8 @@ from contextlib import ExitStack
 import pytest
 from canbus_parts import can_channel, frame, numbers, raw_end, serve_until_idle  # noqa: F401
 
-from hil.can import peers
-from hil.can.frame import (
+from hil.can import hub
+from hil.can.frames import (
     ERROR,
     ERROR_BUS_OFF,
     ERROR_CONTROLLER,
@@ -22,8 +22,7 @@ from hil.can.frame import (
     Frame,
     pack_frame,
 )
-from hil.can.hosted_hub import hub_thread
-from hil.can.hub import Hub
+from hil.can.hub import Hub, hub_thread
 
 
 class Bench:
@@ -134,14 +133,14 @@ def test_who_connects_while_the_hub_is_at_work_does_too(
     (a,) = ends(bench, stack, 1)
     late: list[socket.socket] = []
 
-    def batch(peer: peers.Peer) -> tuple[list[bytes], bool]:
+    def batch(peer: hub.Peer) -> tuple[list[bytes], bool]:
         if not late:
             late.append(stack.enter_context(raw_end(bench.hub.path)))
             a.send(frame(1, 8))
         return real(peer)
 
-    real = peers.Peer.batch
-    monkeypatch.setattr(peers.Peer, "batch", batch)
+    real = hub.Peer.batch
+    monkeypatch.setattr(hub.Peer, "batch", batch)
     a.send(frame(1, 7))
     serve_until_idle(bench.hub)
     assert 8 in numbers(late[0], 2)
@@ -191,7 +190,7 @@ def test_a_slow_reader_holds_up_nobody_and_loses_nothing(bench: Bench, stack: Ex
 def test_who_never_reads_is_hung_up_on(
     bench: Bench, stack: ExitStack, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(peers, "MOST_WAITING", 500)
+    monkeypatch.setattr(hub, "MOST_WAITING", 500)
     a, quick, stuck = ends(bench, stack, 3)
     for number in range(2000):
         a.send(frame(1, number))

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from hil.can import interfaces
-from hil.can.interfaces import can_interfaces, is_up
+from hil.can import channels
+from hil.can.channels import can_interfaces, is_up
 from hil_drivers.cia402.can_channel import CanChannel
 from hil_drivers.cia402.reach import reached
 
@@ -48,7 +48,7 @@ def test_a_driver_tells_of_its_interface_and_never_raises(
     flags: str | None, passed: bool, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     network = kernel(tmp_path, can0=flags)
-    monkeypatch.setattr(interfaces.is_up, "__defaults__", (network,))
+    monkeypatch.setattr(channels.is_up, "__defaults__", (network,))
     (told,) = reached(CanChannel("socketcan", "can0", 500_000))
     assert (told.passed, told.message) == (passed, message)
     if flags == DOWN:

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 from canbus_parts import can_channel, raw_end  # noqa: F401
 
-from hil.can import paths
+from hil.can import channels
+from hil.can.channels import named_channels, socket_path
 from hil.can.hub import Hub
-from hil.can.paths import named_channels, socket_path
 from hil.core.errors import PluginError
 
 
@@ -37,7 +37,7 @@ def test_without_a_runtime_folder_the_temporary_one_is_used(
     above: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("XDG_RUNTIME_DIR")
-    monkeypatch.setattr(paths.tempfile, "gettempdir", lambda: str(above))
+    monkeypatch.setattr(channels.tempfile, "gettempdir", lambda: str(above))
     assert socket_path("can1").parent.parent == above
 
 
@@ -63,7 +63,7 @@ def test_a_folder_others_can_get_into_is_refused(above: Path) -> None:
 def test_a_folder_of_another_user_is_refused(above: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (above / f"hil-can-{os.getuid() + 1}").mkdir(mode=0o700)
     uid = os.getuid() + 1
-    monkeypatch.setattr(paths.os, "getuid", lambda: uid)
+    monkeypatch.setattr(channels.os, "getuid", lambda: uid)
     with pytest.raises(PluginError, match="belongs to another user"):
         Hub("can0")
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import pytest
 from canbus_parts import can_channel, frame, raw_end, serve_until_idle  # noqa: F401
 
-from hil.can.frame import FRAME, Frame
+from hil.can.frames import FRAME, Frame
 from hil.can.hub import Hub
 
 SEEDS = range(12)

@@ -16,9 +16,8 @@ import pytest
 from canbus_parts import bus_hub, can_channel, unix_bus  # noqa: F401
 from canopen.objectdictionary import ODVariable
 
-from hil.can.frame import FRAME, pack_frame
-from hil.can.hosted_hub import HostedHub, hub_thread
-from hil.can.hub import Hub
+from hil.can.frames import FRAME, pack_frame
+from hil.can.hub import HostedHub, Hub, hub_thread
 from hil.can.unix import UnixBus
 
 pytestmark = pytest.mark.quick

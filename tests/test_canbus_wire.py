@@ -12,8 +12,7 @@ import pytest
 from canbus_parts import bus_hub, can_channel, frame, numbers, raw_end, unix_bus  # noqa: F401
 from other_process import other_process
 
-from hil.can.hosted_hub import HostedHub, hub_thread
-from hil.can.hub import Hub
+from hil.can.hub import HostedHub, Hub, hub_thread
 from hil.core.errors import PluginError
 
 pytestmark = pytest.mark.wire

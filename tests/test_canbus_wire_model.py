@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from hil.can.frame import EXTENDED, FRAME, REMOTE, pack_frame
-from hil.can.transmit_queues import arbitration
-from hil.can.wire_model import Wire
+from hil.can.frames import EXTENDED, FRAME, REMOTE, pack_frame
+from hil.can.wire_model import Wire, arbitration
 
 LONGEST_S = 135e-6
 """A frame of eight bytes at 1 Mbit/s with all stuff bits."""

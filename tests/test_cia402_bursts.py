@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from hil.can.frame import pack_frame
+from hil.can.frames import pack_frame
 from hil.core.errors import RobotConnectionError
 from hil_drivers.cia402.can_channel import MOST, SocketPort, receiving, sending
 

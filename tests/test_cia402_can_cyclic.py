@@ -10,7 +10,7 @@ from collections.abc import Iterable
 import numpy as np
 import pytest
 
-from hil.can.frame import (
+from hil.can.frames import (
     ERROR,
     ERROR_BUS_OFF,
     ERROR_CONTROLLER,

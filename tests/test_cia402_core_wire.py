@@ -12,9 +12,8 @@ import numpy as np
 import pytest
 from cia402_parts import CSP, ENABLED, FakeDrive
 
-from hil.can.frame import Frame
-from hil.can.hosted_hub import HostedHub, hub_thread
-from hil.can.hub import Hub
+from hil.can.frames import Frame
+from hil.can.hub import HostedHub, Hub, hub_thread
 from hil_drivers.cia402.bus import Outputs
 from hil_drivers.cia402.can_channel import port_of
 from hil_drivers.cia402.can_cycle import CanCyclic

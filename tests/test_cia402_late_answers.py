@@ -7,7 +7,7 @@ from collections import deque
 
 import pytest
 
-from hil.can.frame import pack_frame, unpack_frame
+from hil.can.frames import pack_frame, unpack_frame
 from hil_drivers.cia402.bus import Inputs, Outputs
 from hil_drivers.cia402.can_cycle import CONFIRMED, CanCyclic
 from hil_drivers.cia402.mapping import MINIMAL

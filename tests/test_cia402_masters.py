@@ -10,7 +10,7 @@ import can
 import pytest
 from test_cia402_can_cyclic import Cycles, all_answers, tpdo1
 
-from hil.can.frame import pack_frame
+from hil.can.frames import pack_frame
 from hil.core.errors import RobotConnectionError
 from hil_drivers.cia402.can_bus import CanBus
 from hil_drivers.cia402.can_channel import PythonCanPort

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from hil.can.frame import pack_frame
+from hil.can.frames import pack_frame
 from hil.core.errors import SpecError
 from hil_drivers.cia402.can_channel import SIMULATED, BusLog
 from hil_drivers.cia402.options import options_of
@@ -158,7 +158,7 @@ def test_offsets_are_angles_and_each_axis_knows_the_middle_of_its_joint():
 
 def test_one_bus_is_one_resource_however_its_channel_is_written(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    from hil.can.paths import socket_path
+    from hil.can.channels import socket_path
 
     named = options(bus={"interface": "hil_unix", "channel": "can3"}).resource
     by_path = options(bus={"interface": "hil_unix", "channel": str(socket_path("can3"))}).resource

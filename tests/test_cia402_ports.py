@@ -12,8 +12,8 @@ import can
 import pytest
 from in_time import InTime, measured_again
 
-from hil.can.frame import ERROR, pack_frame, unpack_frame
-from hil.can.hosted_hub import hub_thread
+from hil.can.frames import ERROR, pack_frame, unpack_frame
+from hil.can.hub import hub_thread
 from hil.core.errors import RobotConnectionError
 from hil_drivers.cia402.can_channel import PythonCanPort, SocketPort, port_of
 

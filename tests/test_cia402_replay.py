@@ -15,7 +15,7 @@ import yaml
 from can_mock import mock_can
 from cia402_robot import options
 
-from hil.can.frame import Frame
+from hil.can.frames import Frame
 from hil.core.errors import DataError, PluginError
 from hil.importers.load import load_source
 from hil.workflow.replaying import replay

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 
 from benchmarks.can_bus.ending import until_over
-from hil.can.frame import Frame
+from hil.can.frames import Frame
 from hil.can.hub import Hub
 from hil_drivers.cia402.can_channel import HEARTBEAT_COB_ID, SYNC_COB_ID, rpdo_cob_id, tpdo_cob_id
 from hil_drivers.cia402.mapping import POSITION

@@ -14,7 +14,7 @@ import can
 
 from benchmarks.can_bus.drives import BEAT_S, DISABLED, NODES, OPERATIONAL, STATUSWORDS
 from benchmarks.can_bus.ending import forbid_priority, until_over
-from hil.can.frame import FRAME, pack_frame
+from hil.can.frames import FRAME, pack_frame
 from hil_drivers.cia402.can_channel import (
     HEARTBEAT_COB_ID,
     SYNC_COB_ID,

@@ -12,7 +12,7 @@ import socket
 import sys
 from collections.abc import Callable, Iterable, Sequence
 
-from hil.can.frame import FRAME
+from hil.can.frames import FRAME
 
 MOST = 64
 """Frames taken at once."""

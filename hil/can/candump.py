@@ -12,7 +12,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple
 
-from hil.can.frame import ERROR, EXTENDED, ID_MASK, REMOTE, Frame
+from hil.can.frames import ERROR, EXTENDED, ID_MASK, REMOTE, Frame
 from hil.core import DataError, RecordingError
 
 _LINE = re.compile(

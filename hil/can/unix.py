@@ -14,7 +14,8 @@ from typing import Any
 
 import can
 
-from hil.can.frame import (
+from hil.can.channels import named_channels, socket_path
+from hil.can.frames import (
     ERROR,
     ERROR_BUS_OFF,
     ERROR_CONTROLLER,
@@ -25,7 +26,6 @@ from hil.can.frame import (
     REMOTE,
     TX_OVERFLOW,
 )
-from hil.can.paths import named_channels, socket_path
 from hil.core import PluginError
 
 SEND_PATIENCE_S = 1.0
@@ -43,7 +43,7 @@ class UnixBus(can.BusABC):
         **kwargs: What other interfaces need, such as `bitrate`; the bit rate is the hub's.
 
     Attributes:
-        socket: `SOCK_SEQPACKET`, one `hil.can.frame.FRAME` a packet; empty when the hub is gone.
+        socket: `SOCK_SEQPACKET`, one `hil.can.frames.FRAME` a packet; empty when the hub is gone.
 
     Raises:
         can.CanInitializationError: Nobody hosts the channel, or it is none.

@@ -115,7 +115,7 @@ class HubEnd:
     """A bus between processes, hosted by the mock.
 
     Args:
-        channel: See `hil.can.paths.socket_path`.
+        channel: See `hil.can.channels.socket_path`.
         bitrate: Of the wire, where it is modelled [bit/s].
         speed: Seconds of that wire in one second of the clock.
 

@@ -1,4 +1,9 @@
-"""Where a bus between processes lives: the socket of a channel, for this user alone."""
+"""CAN channels of this computer: sockets of buses between processes, interfaces of the kernel.
+
+A bus between processes lives at a socket in a folder of this user alone (`socket_path`,
+`private_folder`). Interfaces of the kernel, as most adapters are, are read from what it tells
+everybody: no rights are needed, and nothing is opened or sent.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +16,7 @@ from pathlib import Path
 from hil.core import PluginError
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
+
 _LONGEST = 107
 """Bytes of a path that the kernel takes for a socket."""
 
@@ -54,6 +60,9 @@ def named_channels() -> list[str]:
     return sorted(path.stem for path in runtime_folder().glob("*.sock"))
 
 
+_HINT = "set XDG_RUNTIME_DIR to a folder of yours, or give the absolute path of a socket"
+
+
 def private_folder(path: Path) -> None:
     """See that a socket lies where no other user can replace it; the runtime folder is made.
 
@@ -87,4 +96,41 @@ def _refuse_foreign(folder: Path, found: os.stat_result) -> None:
         )
 
 
-_HINT = "set XDG_RUNTIME_DIR to a folder of yours, or give the absolute path of a socket"
+NETWORK = Path("/sys/class/net")
+"""Where the kernel lists its interfaces."""
+
+IFF_UP = 0x1
+
+ARPHRD_CAN = 280
+"""What the kernel calls a CAN interface in `type`."""
+
+
+def can_interfaces(network: Path = NETWORK) -> list[str]:
+    """Names of all CAN interfaces, up or down."""
+    return [p.name for p in sorted(network.glob("*")) if _number(p / "type", 10) == ARPHRD_CAN]
+
+
+def _number(file: Path, base: int) -> int | None:
+    try:
+        return int(file.read_text("utf-8"), base)
+    except (OSError, ValueError):
+        return None
+
+
+def is_up(name: str, network: Path = NETWORK) -> bool | None:
+    """Whether an interface is switched on; None where there is none of that name.
+
+    Adapters are pulled while somebody looks: one that vanishes meanwhile is not there.
+    """
+    flags = _number(network / name / "flags", 16)
+    return None if flags is None else bool(flags & IFF_UP)
+
+
+def up_command(name: str, bitrate: int) -> str:
+    """What switches an interface on.
+
+    Args:
+        name: Of the interface.
+        bitrate: Bits per second of classic CAN [bit/s].
+    """
+    return f"sudo ip link set {name} up type can bitrate {bitrate}"
