@@ -289,11 +289,11 @@ def test_an_el72xx_is_asked_for_its_torque_constant_and_how_it_counts_current(mo
         axis = commissioned(line, profile="el72xx").drives[0].profile
     # 0.5 N·m/A × rated current × gear, without √2
     rated_a = axis.rated_current_a
-    assert axis.torque(1000) == pytest.approx(0.5 * rated_a * 121)
+    assert 1000 * axis.nm_per_count == pytest.approx(0.5 * rated_a * 121)
     with drives(1) as line:
         _beckhoff(line.nodes[0], monkeypatch, scaling=0)
         axis = commissioned(line, profile="el72xx").drives[0].profile
-    assert axis.torque(1000) == pytest.approx(0.5 * rated_a * 121 / math.sqrt(2))
+    assert 1000 * axis.nm_per_count == pytest.approx(0.5 * rated_a * 121 / math.sqrt(2))
 
 
 def test_where_torque_goes_by_current_the_rated_torque_may_say_what_it_will(monkeypatch):

@@ -7,7 +7,7 @@ from hil.robot import Status, state_dtype
 from hil.robot.state import Topic
 from hil_drivers.cia402.mapping import ALL_MODES, LATE, MAPPINGS, POSITION, STALLED, cycle_dtype
 from hil_drivers.cia402.profile import AxisProfile, Scaling
-from hil_drivers.cia402.rows import TOPIC, StateRows, raw_rows, raw_topic, told
+from hil_drivers.cia402.rows import TOPIC, StateRows, raw_rows, raw_topic, raw_values
 
 N = 2
 PERIOD_S = 0.004
@@ -179,7 +179,7 @@ def test_raw_rows_hold_every_integer_that_went_over_the_wire(mapping):
     entries = [entry for pdo in mapping.pdos for entry in pdo.entries]
     for entry in entries:
         assert raw[entry.name].dtype.itemsize == entry.size
-        assert (raw[entry.name] == told(cycles, mapping)[entry.name]).all()
+        assert (raw[entry.name] == raw_values(cycles, mapping)[entry.name]).all()
     assert {entry.name for entry in entries} < set(raw.dtype.names)
 
 

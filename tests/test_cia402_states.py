@@ -12,7 +12,7 @@ from hil_drivers.cia402.axis import (
     controlword_resetting,
     controlword_towards,
     state_of,
-    told_by,
+    statusword_text,
 )
 
 pytestmark = pytest.mark.quick
@@ -120,8 +120,8 @@ def test_out_of_fault_the_reset_is_taken_back(state):
 
 
 def test_a_statusword_in_words_says_what_matters_and_its_number():
-    assert told_by(0x1237) == "operation enabled (statusword 1237h)"
-    assert told_by(0x3A37) == (
+    assert statusword_text(0x1237) == "operation enabled (statusword 1237h)"
+    assert statusword_text(0x3A37) == (
         "operation enabled, internal limit active, following error (statusword 3A37h)"
     )
-    assert told_by(0x0008) == "fault, does not listen to the bus (bit 9) (statusword 0008h)"
+    assert statusword_text(0x0008) == "fault, does not listen to the bus (bit 9) (statusword 0008h)"

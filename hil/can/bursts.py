@@ -145,7 +145,7 @@ class Catch:
         number = -1
         if self._call is not None:
             number = self._call(line.fileno(), self._at, self._most, _NOW, None)
-        if number < 0:  # there is none, or whoever receives one says what is wrong
+        if number < 0:  # there is none, or receiving one says what is wrong
             return self._one_by_one(line)
         lengths = self._lengths[:number].tolist()
         if lengths.count(_SIZE) != number:

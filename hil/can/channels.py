@@ -56,7 +56,7 @@ def runtime_folder() -> Path:
 
 
 def named_channels() -> list[str]:
-    """Names of the channels in the runtime folder, whether or not somebody hosts them now."""
+    """Names of the channels in the runtime folder, whether or not they are hosted now."""
     return sorted(path.stem for path in runtime_folder().glob("*.sock"))
 
 
@@ -120,7 +120,7 @@ def _number(file: Path, base: int) -> int | None:
 def is_up(name: str, network: Path = NETWORK) -> bool | None:
     """Whether an interface is switched on; None where there is none of that name.
 
-    Adapters are pulled while somebody looks: one that vanishes meanwhile is not there.
+    An adapter that is pulled while this looks is not there.
     """
     flags = _number(network / name / "flags", 16)
     return None if flags is None else bool(flags & IFF_UP)

@@ -39,7 +39,7 @@ class Frame(NamedTuple):
     Attributes:
         id: 11-bit identifier, COB-ID in CANopen.
         data: 0 to 8 bytes.
-        time_s: Unix time at which it was seen, 0 where nobody looked.
+        time_s: Unix time at which it was seen, 0 where that is unknown.
     """
 
     id: int

@@ -214,7 +214,7 @@ class Hub:
 
 
 def _is_sendable(raw: bytes) -> bool:
-    """Data and remote frames that can be; nobody sends the errors of others' controllers."""
+    """Data and remote frames that can be; no end sends the errors of others' controllers."""
     can_id = int.from_bytes(raw[:4], "little")
     longest = ID_MASK if can_id & EXTENDED else 0x7FF
     return not can_id & ERROR and raw[4] <= 8 and can_id & ID_MASK <= longest
@@ -284,7 +284,7 @@ class Participants:
 
     def accept(self) -> Peer | None:
         """The next newcomer, `None` when there is none."""
-        if not self._door.poll(0):  # a twentieth of what it costs to be told that nobody is there
+        if not self._door.poll(0):  # a twentieth of what a failing accept() costs
             return None
         try:
             connection, _ = self._listener.accept()
@@ -431,7 +431,7 @@ class Listener:
         socket: Non-blocking.
 
     Raises:
-        PluginError: Somebody else hosts the channel, or the socket cannot be made.
+        PluginError: Another process hosts the channel, or the socket cannot be made.
     """
 
     def __init__(self, path: Path) -> None:
@@ -442,7 +442,7 @@ class Listener:
         try:
             _clear(path)
             self.socket.bind(str(path))
-            path.chmod(0o600)  # before it listens: nobody else gets in between
+            path.chmod(0o600)  # before it listens: no other user gets in between
             self.socket.listen(_BACKLOG)
         except OSError as error:
             self.close()
@@ -477,7 +477,7 @@ def _held_by_us(path: Path) -> HeldFile:
 
 
 def _clear(path: Path) -> None:
-    """Remove the socket of a hub that died; whoever holds the lock knows that it is dead."""
+    """Remove the socket of a hub that died, as the holder of the lock knows."""
     if path.is_socket():
         path.unlink()
     elif os.path.lexists(path):
@@ -514,7 +514,7 @@ class HostedHub:
     """A hub that a thread serves.
 
     Args:
-        hub: Whose; nobody else may touch it.
+        hub: Which; nothing else may touch it.
     """
 
     def __init__(self, hub: Hub) -> None:

@@ -1,7 +1,7 @@
 """`hil_unix`: python-can on a bus between processes of this computer, hosted by a hub.
 
-Ordered and lossless. One packet of the socket is one frame in SocketCAN's layout, so whoever is in
-a hurry may use `UnixBus.socket` itself and leave `can.Message` out.
+Ordered and lossless. One packet of the socket is one frame in SocketCAN's layout: code that has no
+time for `can.Message` uses `UnixBus.socket` itself.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class UnixBus(can.BusABC):
         socket: `SOCK_SEQPACKET`, one `hil.can.frames.FRAME` a packet; empty when the hub is gone.
 
     Raises:
-        can.CanInitializationError: Nobody hosts the channel, or it is none.
+        can.CanInitializationError: No process hosts the channel, or it is none.
     """
 
     def __init__(self, channel: Any = "can0", can_filters: Any = None, **kwargs: Any) -> None:
@@ -119,7 +119,7 @@ class UnixBus(can.BusABC):
     def _read(self) -> bytes | None:
         try:
             return self.socket.recv(FRAME.size, _NOW)
-        except (BlockingIOError, TimeoutError):  # the latter where somebody has set a time-out
+        except (BlockingIOError, TimeoutError):  # the latter where a time-out was set
             return None
         except OSError as error:
             raise self._gone(error) from error

@@ -201,8 +201,8 @@ class AxesRobot:
     def read(self, timeout_s: float = 1.0) -> StructArray:
         """All samples since the last call.
 
-        A fault comes with the rows that show it; the next call raises it, once, so that whoever
-        watches the arm come to rest still sees it.
+        A fault comes with the rows that show it; the next call raises it, once, so that the arm
+        can still be watched coming to rest.
 
         Raises:
             RobotTimeout: No sample in time.

@@ -106,7 +106,7 @@ def controlword_towards(state: State, goal: Goal) -> int:
 
 
 def controlword_resetting(state: State, last: int) -> int:
-    """The controlword of a fault reset that somebody has asked for: one rising edge of bit 7.
+    """The controlword of a fault reset, given on request only: one rising edge of bit 7.
 
     Args:
         state: As the drive has just told it; out of `FAULT` the bit is taken back.
@@ -124,7 +124,7 @@ _SAID = {
 }
 
 
-def told_by(statusword: int) -> str:
+def statusword_text(statusword: int) -> str:
     """A statusword in words, for messages."""
     said = [text for bit, text in _SAID.items() if statusword & bit]
     if not statusword & REMOTE:

@@ -13,8 +13,8 @@ A bus has two faces, because two kinds of threads use it:
 - `Cyclic` exchanges process data and collects what comes beside them (`News`). Only the thread that
   owns the cycles calls it, and nothing in it may wait for longer than it was told to.
 
-Answers to acyclic requests arrive on the same bus: somebody has to take frames while an object is
-read, either by cycles or by `pumping`.
+Answers to acyclic requests arrive on the same bus, so frames have to be taken while an object is
+read: by the cycles, or by `pumping` where there are none.
 """
 
 from __future__ import annotations
@@ -274,7 +274,7 @@ class Bus(Protocol):
 
     @property
     def acyclic(self) -> Acyclic:
-        """Objects of the drives; answered while cycles go on or somebody pumps."""
+        """Objects of the drives; answered while cycles go on, or while it is pumped."""
 
     @property
     def cyclic(self) -> Cyclic:

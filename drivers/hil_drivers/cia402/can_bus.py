@@ -7,9 +7,9 @@ no bus and no thread of its own: the thread of the cycles hands it the frames th
 data (`CanopenAcyclic.heard`), and what it sends goes out through the same port (`CanBus._send`).
 
 Two things of CiA 301 are done here without it. Expedited transfers to many drives at once, one
-frame each, so that nobody waits for a drive that is silent (`upload_each`, `download_each`). And
-the procedure by which PDOs are laid out and read back (`_PdoOf`), because drives differ in what
-they refuse there, and messages have to say which object of which drive it was.
+frame each, so that a silent drive holds nothing up (`upload_each`, `download_each`). And the
+procedure by which PDOs are laid out and read back (`_PdoOf`), because drives differ in what they
+refuse there, and messages have to say which object of which drive it was.
 """
 
 from __future__ import annotations
@@ -130,7 +130,7 @@ class CanBus:
             self._log = BusLog(options.candump, options.bus.channel)
             self._leaving.callback(self._log.close)
         self._port = port_of(bus)
-        # Nobody else may drive these axes; before anything is sent.
+        # No other master may drive these axes: listen before anything is sent.
         port = self._port if self._log is None else LoggedPort(self._port, self._log)
         lasts_s = LISTEN_INSIDE_S if options.bus.interface == "virtual" else LISTEN_S
         require_no_master(port, options.nodes, options.master_id, lasts_s)
@@ -240,7 +240,7 @@ class CanopenAcyclic:
     def heard(self, can_id: int, data: bytes, time_s: float = 0.0) -> None:
         """A frame is on the bus; called by the cyclic thread, returns at once."""
         if can_id in self._answers and len(data) == 8:
-            # There is no lock here that whoever asks could hold while the bus waits.
+            # No lock: a thread that asks could hold it while the bus waits.
             _, index, sub = _HEAD.unpack_from(data)
             answer = self._expected.pop((self._answers[can_id], index, sub), None)
             if answer is None:
@@ -341,7 +341,7 @@ class CanopenAcyclic:
         return self._network.add_node(node)
 
     def _asked(self, axis: int, entry: Entry, what: str, ask: Callable[[Any], Any]) -> Any:
-        """One request at a time per node, tried again when nobody answers."""
+        """One request at a time per node, tried again when there is no answer."""
         self._expected.pop((axis, entry.index, entry.sub), None)  # the next answer is this one's
         with self._locks[axis]:
             for _ in range(TRIES):

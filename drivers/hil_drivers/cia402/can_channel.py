@@ -228,7 +228,7 @@ AGAIN_S = 1e-4
 def send_within(port: FramePort, frame: bytes | memoryview, until_s: float) -> bool:
     """Put a frame on the bus, again and again where there is no room, until that `monotonic`.
 
-    SocketCAN's queue has room for ten frames where nobody has made it longer: a cycle has more,
+    SocketCAN's queue has room for ten frames unless it was made longer: a cycle has more,
     and each takes 0.13 ms on the wire at 1 Mbit/s.
     """
     while not port.send(frame):
@@ -258,7 +258,7 @@ _NOW = socket.MSG_DONTWAIT
 class SocketPort:
     """A socket whose packets are frames: `UnixBus` and SocketCAN.
 
-    Nothing of it is changed: whoever else uses it may go on.
+    Nothing of it is changed: its other users may go on.
 
     Args:
         line: The socket.
@@ -310,7 +310,7 @@ class PythonCanPort:
     """Any other `python-can` bus.
 
     Args:
-        bus: Of `python-can`; nobody else receives from it.
+        bus: Of `python-can`; nothing else receives from it.
     """
 
     def __init__(self, bus: Any) -> None:

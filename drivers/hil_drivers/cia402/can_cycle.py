@@ -12,8 +12,8 @@ unpacked at one go. In the order of the file:
 - `NodeWatch` looks at every other frame: heartbeats, boot-ups, emergencies, errors of the bus. With
   `MasterWatch` it finds another master, and `require_no_master` listens for one before the first
   frame is sent.
-- `Temperatures` reads motor temperatures from the SDO answers that pass. Whoever owns the bus and
-  whoever reads a log of it hear the same frames, so both know a temperature from the same cycle on.
+- `Temperatures` reads motor temperatures from the SDO answers that pass. The driver and a replay of
+  its log see the same frames, so both know a temperature from the same cycle on.
 - `stop_directly` is the stop of last resort: quick stop from a process that does not own the bus.
 """
 
@@ -412,13 +412,13 @@ class Collector:
 
         The second is waited for as long as there is time. When none comes, the owed one was lost
         if this one came as soon as answers usually do, and if others had answered before: when
-        nobody had, all are slow rather than lost.
+        none had, all are slow rather than lost.
         """
         debts, soon_s = self._debts, synced_s + SOON_TIMES * self._usual_s + SOON_S
         if all_came:
-            soon, nobody = time.monotonic() <= soon_s, len(debts) == len(self._came)
+            soon, none_answered = time.monotonic() <= soon_s, len(debts) == len(self._came)
             self._take_more(give_up_s)
-            if soon and not nobody:
+            if soon and not none_answered:
                 debts.forget_lost()
             self._doubtful = soon and bool(debts)
         if debts.watched:
@@ -735,7 +735,7 @@ LISTEN_INSIDE_S = 0.03
 """The same on a bus that reaches no other process [s]."""
 
 ALLOWED_S = 0.05
-"""Wall time for which the SYNC of somebody's quick stop may come [s]."""
+"""Wall time for which the SYNC of a quick stop from outside may come [s]."""
 
 ANOTHER = "another master is on the bus"
 HINT = "end it first: another hil, a PLC, a drive maker's tool, a drive that produces SYNC (1005h)"
@@ -753,7 +753,7 @@ def require_no_master(
         lasts_s: Wall time [s].
 
     Raises:
-        RobotConnectionError: Somebody else commands these drives, or uses our node id.
+        RobotConnectionError: Another master commands these drives, or uses our node id.
     """
     beat = HEARTBEAT_COB_ID + master_id
     names = commanding(nodes) | {beat: f"the heartbeat of node {master_id}, our own ({beat:03X}h)"}
@@ -771,7 +771,7 @@ def require_no_master(
 class MasterWatch:
     """Tells what another master sends while we drive the arm.
 
-    Whoever stops the arm from outside (`direct_stop`) sends quick stops and a SYNC; that is no
+    A stop from outside (`stop_directly`) is quick stops and a SYNC; that is no
     second master, and the axes themselves tell that they stop.
 
     Args:

@@ -209,7 +209,7 @@ def _inspected(
     modes = {MODES[options.trajectory_mode]: options.trajectory_mode}
     if wrong := list(wrong_kind(objects, modes)):
         return None, wrong
-    said = said_by(objects)
+    said = profile_fields(objects)
     torque_of = {**PROFILES[options.profile], **given}.get("torque_of", "")
     wrong = [
         f"is not as the station says: {each}" for each in contradictions(given, said, torque_of)
@@ -242,7 +242,7 @@ def read_if_there(acyclic: Acyclic, axis: int, entry: Entry) -> int | None:
         raise
 
 
-def said_by(objects: Mapping[str, int]) -> dict[str, Any]:
+def profile_fields(objects: Mapping[str, int]) -> dict[str, Any]:
     """Fields of `AxisProfile` in a drive's own words; what is 0 was never set."""
     said: dict[str, Any] = {
         name: objects[name]
@@ -619,8 +619,8 @@ def part(acyclic: Acyclic) -> None:
 def unwatch(acyclic: Acyclic) -> list[int]:
     """Have drives that carry no current not mind when we leave; never raises.
 
-    Else they would be in fault for that (on CAN 8130h), and an error that somebody has to see would
-    not be the present one any more. Drives that may still move have to notice that we are gone.
+    Else they would be in fault for that (on CAN 8130h), and an error that an operator has to see
+    would not be the present one any more. Drives that may still move have to notice that we are gone.
 
     Returns:
         Axes that are not known to carry no current.

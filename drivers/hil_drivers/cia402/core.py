@@ -196,7 +196,7 @@ class Core:
         self._wait_for(Phase.ENABLED, within_s, "the mode is not switched")
 
     def reset_faults(self, within_s: float = 5.0) -> None:
-        """Reset faults that somebody has looked at; blocks, raises as `enable`."""
+        """Reset faults, on request only; blocks, raises as `enable`."""
         self._require_bus()
         if self.phase is not Phase.OFF:
             raise CommandRefused(f"faults cannot be reset: the axes are {self.phase.value}")
@@ -383,7 +383,7 @@ class Core:
                     self._obey()
         except RobotConnectionError as error:
             self._fail(error)
-        except Exception as error:  # nobody would ever hear of it in this thread
+        except Exception as error:  # else it would end in this thread, unseen
             self._last_words()
             self._fail(
                 RobotConnectionError(
@@ -395,7 +395,7 @@ class Core:
     def _run_cycles(self) -> None:
         self.schedule.restart()
         self._stalls.restart()
-        # Without deadlines nothing is late, and whoever never sleeps must not keep others waiting.
+        # Without deadlines nothing is late, and a thread that never sleeps must not hold up others.
         punctual: contextlib.AbstractContextManager[list[str]] = realtime()
         if self._free:
             punctual = contextlib.nullcontext([])
@@ -444,7 +444,7 @@ class Core:
         ring.put(self._cyclic, told, self._supervisor.fault_code, flags)
 
     def _make_room(self) -> None:
-        """Records of an arm at rest may go; those of a motion that nobody takes end it."""
+        """Records of an arm at rest may go; those of a motion that are not taken end it."""
         if self._free:
             self.ring.wait_for_room(time.monotonic() + 1.0)
         if not self.ring.full:
@@ -476,7 +476,7 @@ class Core:
         self.ring.wake()
 
     def _clean_up(self) -> None:
-        """Collect young garbage now and then, as nobody else does while cycles go on."""
+        """Collect young garbage now and then: the collector is off while cycles go on."""
         self._clean_up_at = self.schedule.cycles + round(CLEAN_UP_S / self._period_s)
         gc.collect(0)
 
@@ -504,10 +504,10 @@ class Ring:
         mapping: Of every axis.
         temperature: (n,) [°C] of all axes; the present ones go into a record.
         capacity: Records that may wait.
-        batch: So many are waited for before whoever takes is woken.
+        batch: So many are waited for before the thread that takes is woken.
 
     Attributes:
-        forgotten: Records let go because nobody took them.
+        forgotten: Records let go because they were not taken.
     """
 
     def __init__(
@@ -569,7 +569,7 @@ class Ring:
             self.forgotten += count
 
     def wake(self) -> None:
-        """Let whoever waits in `take` have what there is."""
+        """Let the thread that waits in `take` have what there is."""
         self._asleep = False
         with contextlib.suppress(RuntimeError):  # it rings already
             self._bell.release()

@@ -24,7 +24,7 @@ from hil_drivers.option_checks import OptionChecks, Range
 MASTER_ID = 127
 
 LATE_CYCLES, LATE_CYCLES_SIMULATED = 3, 50
-"""What `late_cycles` is where nobody says: drives on a wire fault soon after a few missing
+"""Default of `late_cycles`: drives on a wire fault soon after a few missing
 set-points; drives on a busy computer are not dead when they have not answered for 0.2 s."""
 
 

@@ -140,37 +140,6 @@ class AxisProfile:
         centre = self.centre_counts
         return (centre + wrapped(raw - centre)) * self.rad_per_increment + self.offset_rad
 
-    def velocity(self, raw: int) -> float:
-        """Joint velocity [rad/s] of 606Ch."""
-        return raw * self.rad_s_per_count
-
-    def torque(self, raw: int) -> float:
-        """Joint torque [N·m] of 6077h, 6071h or 60B2h."""
-        return raw * self.nm_per_count
-
-    def current(self, raw: int) -> float:
-        """Motor current [A] of 6078h."""
-        return raw * self.a_per_count
-
-    def raw_position(self, q: float) -> int:
-        """607Ah for a joint angle [rad]: 32 bits with sign, as they go over the wire."""
-        counts = round((q - self.offset_rad) / self.rad_per_increment)
-        if self.position_unsigned:
-            return wrapped(counts)
-        return within(counts, INT32)
-
-    def raw_velocity(self, qd: float) -> int:
-        """60FFh for a joint velocity [rad/s]; stops at the ends of 32 bits."""
-        return within(round(qd / self.rad_s_per_count), INT32)
-
-    def raw_torque(self, nm: float) -> int:
-        """6071h or 60B2h for a joint torque [N·m]; stops at the ends of 16 bits."""
-        return within(round(nm / self.nm_per_count), INT16)
-
-    def raw_current(self, amperes: float) -> int:
-        """6078h for a motor current [A]; stops at the ends of 16 bits."""
-        return within(round(amperes / self.a_per_count), INT16)
-
     def _sign(self, bit: int) -> int:
         return -self.direction if self.polarity & bit else self.direction
 
@@ -190,12 +159,6 @@ PROFILES: dict[str, dict[str, Any]] = {
 def wrapped(value: int) -> int:
     """As 32 bits with sign: what a counter that runs over shows, and the shorter way round."""
     return (value + _HALF) % WRAP - _HALF
-
-
-def within(value: int, ends: tuple[int, int]) -> int:
-    """`value`, not beyond either end."""
-    least, most = ends
-    return least if value < least else most if value > most else value
 
 
 def axis_profile(name: str, given: Mapping[str, Any], found: Mapping[str, Any]) -> AxisProfile:
@@ -299,10 +262,6 @@ class Scaling:
     def raw_torque(self, nm: Any) -> IntArray:
         """6071h or 60B2h for joint torques [N·m]."""
         return _rounded(_floats(nm) / self._torque, INT16)
-
-    def raw_current(self, amperes: Any) -> IntArray:
-        """6078h for motor currents [A]."""
-        return _rounded(_floats(amperes) / self._current, INT16)
 
 
 def _floats(values: Any) -> FloatArray:

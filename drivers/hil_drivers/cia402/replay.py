@@ -27,7 +27,7 @@ from hil_drivers.cia402.can_channel import (
     tpdo_cob_id,
 )
 from hil_drivers.cia402.can_cycle import MARKER, Temperatures
-from hil_drivers.cia402.commissioning import profile_of, said_by
+from hil_drivers.cia402.commissioning import profile_fields, profile_of
 from hil_drivers.cia402.mapping import (
     MAPPINGS,
     MOST_BYTES,
@@ -99,7 +99,7 @@ def profiles_of(options: Options, model: str, robot: MappingOf[str, Any]) -> lis
     arm, details = load_arm(model), robot.get("identity", {}).get("details", {})
     profiles = []
     for axis, given in enumerate(options.axes):
-        said = said_by(_objects(details, axis))
+        said = profile_fields(_objects(details, axis))
         profile = profile_of(options.profile, given, said, float(arm.gear_ratio[axis]))
         if isinstance(profile, str):
             raise DataError(

@@ -71,7 +71,7 @@ class Cia402Robot(RobotProcess):
 
     def connect(self) -> None:
         """See `hil.robot.Robot`; once connected, limits and gains are those of the drives."""
-        # Whoever may have to stop the arm within milliseconds cannot import this then.
+        # A stop has milliseconds: too little to import this then.
         import can  # noqa: F401
 
         super().connect()
@@ -80,7 +80,7 @@ class Cia402Robot(RobotProcess):
         """Bring the arm to rest: by its process, else by telling the drives directly.
 
         Raises:
-            RobotConnectionError: Nobody could be told.
+            RobotConnectionError: Neither way works.
         """
         self._last_stop = object()
         process = self.process

@@ -62,12 +62,12 @@ def raw_rows(cycles: StructArray, mapping: Mapping, topic: Topic, period_s: floa
     rows["device_time"], rows["host_time"] = cycles["cycle"] * period_s, cycles["host_time"]
     for name in ("cycle", "segment", "status", "fault_code", "flags"):
         rows[name] = cycles[name]
-    for name, values in told(cycles, mapping).items():
+    for name, values in raw_values(cycles, mapping).items():
         rows[name] = values
     return rows
 
 
-def told(cycles: StructArray, mapping: Mapping) -> dict[str, IntArray]:
+def raw_values(cycles: StructArray, mapping: Mapping) -> dict[str, IntArray]:
     """Name of an object → (N, n) its raw values, for all that travel."""
     values: dict[str, IntArray] = {}
     for side, pdos in (("rpdo", mapping.rpdos), ("tpdo", mapping.tpdos)):
@@ -123,7 +123,7 @@ class StateRows:
     def _measured(self, cycles: StructArray) -> StructArray:
         """What belongs to the time of the SYNC itself."""
         rows = np.zeros(len(cycles), state_dtype(self._scaling.n))
-        values, scaling = told(cycles, self._mapping), self._scaling
+        values, scaling = raw_values(cycles, self._mapping), self._scaling
         rows["device_time"] = cycles["cycle"] * self._period_s
         rows["host_time"], rows["temperature"] = cycles["host_time"], cycles["temperature"]
         rows["q"] = scaling.position(values["position"])
@@ -153,7 +153,7 @@ class StateRows:
         central ones, without a delay of half a cycle.
         """
         n = len(rows)
-        values = told(cycles, self._mapping)
+        values = raw_values(cycles, self._mapping)
         q = self._scaling.position(values["target_position"])
         after, now, before = q[2 : n + 2], q[1 : n + 1], q[:n]
         rows["q_target"] = now

@@ -32,7 +32,7 @@ from hil_drivers.cia402.axis import (
     BrakeWatch,
     Tracking,
     state_of,
-    told_by,
+    statusword_text,
 )
 from hil_drivers.cia402.bus import Acyclic, Bus, Outputs, pumping
 from hil_drivers.cia402.commissioning import (
@@ -409,7 +409,7 @@ class Trouble:
         words = acyclic.upload_each(od.STATUSWORD, self._samples.silent, ASKED_S)
         told = {
             "603Fh": [f"{acyclic.name_of(a)} {error_text(code)}" for a, code in codes.items()],
-            "6041h": [f"{acyclic.name_of(a)} {told_by(word)}" for a, word in words.items()],
+            "6041h": [f"{acyclic.name_of(a)} {statusword_text(word)}" for a, word in words.items()],
         }
         return "".join(f" ({entry}: {'; '.join(said)})" for entry, said in told.items() if said)
 

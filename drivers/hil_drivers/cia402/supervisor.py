@@ -33,7 +33,7 @@ from hil_drivers.cia402.axis import (
     controlword_towards,
     mode_text,
     state_of,
-    told_by,
+    statusword_text,
 )
 from hil_drivers.cia402.bus import Inputs, News, Outputs
 
@@ -347,7 +347,7 @@ class Supervisor:
         asks_mode = self.phase in (Phase.MODE, Phase.SWITCHING)
         wrong = self._judge.in_wrong_mode(inputs, self.mode) if asks_mode else []
         for axis in axes:
-            what = told_by(inputs.statusword[axis])
+            what = statusword_text(inputs.statusword[axis])
             if axis in wrong:
                 shown = mode_text(inputs.mode_display[axis])
                 what = f"mode {mode_text(self.mode)} was asked for, it shows {shown}; {what}"
@@ -449,13 +449,13 @@ class Judge:
             if not self.answers(axis):
                 yield axis, self._silence(axis)
             elif state in FAULTY:
-                yield axis, told_by(word)
+                yield axis, statusword_text(word)
             elif phase in RUNNING and state is not State.ENABLED:
-                yield axis, f"has left operation enabled: {told_by(word)}"
+                yield axis, f"has left operation enabled: {statusword_text(word)}"
             elif phase is Phase.ENABLED and self._is_in_wrong_mode(axis, inputs, mode):
                 yield axis, f"has left mode {mode_text(mode)} on its own"
             elif phase is Phase.ENABLED and not self._follows_now(axis, word, for_s):
-                yield axis, f"ignores set-points (bit 12 low): {told_by(word)}"
+                yield axis, f"ignores set-points (bit 12 low): {statusword_text(word)}"
 
     def _silence(self, axis: int) -> str:
         if self.missed[axis] > self._late_cycles:
@@ -480,7 +480,7 @@ class Judge:
 STOPPED = "All axes were stopped"
 TOLD = "All axes were told to stop"
 UNKNOWN = "not known to have stopped"
-NOBODY = (
+NONE_ANSWERS = (
     "No axis answers: quick stop may not arrive, but without a master drives stop by themselves"
 )
 
@@ -546,9 +546,9 @@ class Complaints:
         return f"{told}. {fate}" if fate else told
 
     def _fate(self, states: Sequence[State | None]) -> str:
-        """What has become of the axes; nobody is said to have stopped who does not say so."""
+        """State of the other axes; none counts as stopped unless its statusword says so."""
         if not any(states):
-            return NOBODY
+            return NONE_ANSWERS
         moving = [axis for axis, state in enumerate(states) if state in _MOVING]
         others: dict[str, list[str]] = {}
         for axis, state in enumerate(states):

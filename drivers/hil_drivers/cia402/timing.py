@@ -204,8 +204,7 @@ SLACK_NS = 1_000
 def realtime() -> Iterator[list[str]]:
     """What helps while the block runs, for the calling thread and this process.
 
-    Garbage is collected at no time of its own choosing: whoever runs the thread calls
-    `gc.collect` while the arm rests.
+    Garbage is not collected at times of its own choosing: the thread calls `gc.collect` itself.
 
     Yields:
         What was not permitted, in words; empty when all was.

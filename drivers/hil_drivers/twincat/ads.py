@@ -1,9 +1,9 @@
 """The line to a PLC: its variables as bytes, by ADS, with every failure told in plain words.
 
 `pyads` brings its own router on Linux: no TwinCAT is needed here, only a route on the PLC back to
-this computer. Requests of one ADS port wait for each other, so whoever must not wait has a line of
-its own; all lines to one PLC share one TCP connection. `pyads` deletes the route to the PLC when
-any of them is closed: close all, then open anew.
+this computer. Requests of one ADS port wait for each other, so what must not wait has a line of its
+own; all lines to one PLC share one TCP connection. `pyads` deletes the route to the PLC when any of
+them is closed: close all, then open anew.
 
 ADS return codes become errors of `hil` by what is to be done about them (`error_of`): a missing
 route, a runtime that does not run and a program that was changed online look alike in the library.
@@ -89,7 +89,7 @@ class Line:
             address: As `address_of` has found it.
 
         Raises:
-            RobotConnectionError: Nobody listens there.
+            RobotConnectionError: Nothing listens there.
             PluginError: `pyads` is not installed.
         """
         pyads = library()
@@ -152,7 +152,7 @@ class Line:
         """A variable to be written by its handle.
 
         A PLC whose program was changed online refuses an old handle, where it would let an old
-        offset change somebody else's memory.
+        offset change other memory.
 
         Raises:
             PluginError: The PLC has none of that name.

@@ -47,9 +47,9 @@ class Controller:
         options: Of the station.
 
     Raises:
-        RobotConnectionError: Nobody is there, or it is not what the station says.
+        RobotConnectionError: No PLC answers, or it is not what the station says.
         PluginError: Its program keeps another contract, or none.
-        CommandRefused: Somebody else has the arm.
+        CommandRefused: Another client has the arm.
         RobotFault: It has a fault that cannot be reset.
 
     Attributes:
@@ -323,7 +323,7 @@ class Stops:
         self._counting, self._writing = threading.Lock(), threading.Lock()
 
     def before_start(self) -> tuple[np.void, int]:
-        """`stState`, and the `nStop` with which a start is obeyed: whoever has written it."""
+        """`stState`, and the `nStop` with which a start is obeyed, whichever client wrote it."""
         with self._counting:
             given, under_way = self._given, self._under_way
         state = self._variables.structure("stState")

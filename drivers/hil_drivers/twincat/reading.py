@@ -28,7 +28,7 @@ LEAST_NAP_S, LEAST_WAIT_S = 1e-3, 0.02
 """Shorter no request may wait for its answer [s]."""
 
 KEPT_S = 5.0
-"""Rows of an arm that nobody has moved or read: no more than these are told [s]."""
+"""Rows of an arm that was neither moved nor read: no more than these are given [s]."""
 
 
 class Reading:
@@ -69,7 +69,7 @@ class Reading:
         problem, watch.problem = watch.problem, None
         if problem is not None:
             raise problem
-        # No request waits for longer than whoever reads.
+        # No request waits for longer than the read itself.
         controller.wait_for(max(timeout_s, LEAST_WAIT_S))
         try:
             state = self._await_rows(timeout_s)
@@ -141,7 +141,7 @@ class Watch:
         faulty: Whether nothing is obeyed any more, until connected again.
         moving: Whether a segment was started and no row has shown its end.
         idle: Whether nothing was started since the connection was made, or the arm was stopped:
-            rows that nobody reads for long may be left out then.
+            rows that were not read for long may be left out then.
     """
 
     def __init__(self, session: int, late_s: float) -> None:
@@ -229,7 +229,7 @@ class Ring:
         next: Sequence number of the row that is read next.
         gaps: How often rows were overwritten before they were read.
         lost: How many rows that were.
-        skipped: Rows that nobody wanted: nothing had been started, and nobody had read for long.
+        skipped: Rows left out: nothing had been started, and none were read for long.
         torn: How often a block was read again because a row in it was being written.
     """
 
@@ -244,7 +244,7 @@ class Ring:
         self.next = head
 
     def forget(self, head: int, keep: int) -> None:
-        """Leave out what is older than the newest `keep` rows before `head`: nobody wants it."""
+        """Leave out what is older than the newest `keep` rows before `head`."""
         if head - self.next > keep:
             self.skipped += head - keep - self.next
             self.next = head - keep

@@ -105,9 +105,9 @@ class TwinCatRobot:
         After a fault or a lost connection it does so from the beginning.
 
         Raises:
-            RobotConnectionError: Nobody is there, or it is another arm.
+            RobotConnectionError: No PLC answers, or it has another arm.
             PluginError: The PLC's program keeps another contract, or none.
-            CommandRefused: Somebody else has the arm.
+            CommandRefused: Another client has the arm.
             RobotFault: It has a fault that cannot be reset.
         """
         if self._controller is not None and not self._watch.faulty:
@@ -182,8 +182,8 @@ class TwinCatRobot:
     def read(self, timeout_s: float = 1.0) -> StructArray:
         """All rows since the last call, a block of `block_rows` where there is time for it.
 
-        A fault comes with the rows that show it; the next call raises it, once, so that whoever
-        watches the arm come to rest still sees it.
+        A fault comes with the rows that show it; the next call raises it, once, so that the arm
+        can still be watched coming to rest.
 
         Raises:
             RobotTimeout: No row was written in time.

@@ -220,7 +220,7 @@ class Variables:
             self._handles[name] = line.handle(f"{prefix}.{name}")
 
     def handle(self, name: str) -> Place:
-        """One of `WRITTEN`, for whoever has a line of its own."""
+        """One of `WRITTEN`, to be written on another line."""
         return self._handles[name]
 
     def release(self) -> None:
