@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from cia402_parts import CSP, CST, PERIOD_S, Rig
 
-from hil_drivers.cia402.axis import LATENCY, Tracking
+from hil_drivers.cia402.axis import Tracking
 from hil_drivers.cia402.bus import Inputs
+from hil_drivers.cia402.mapping import LATENCY
 from hil_drivers.cia402.supervisor import Phase
 from hil_drivers.cia402.torque import Weighed
 

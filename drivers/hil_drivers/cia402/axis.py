@@ -18,6 +18,7 @@ from enum import Enum
 
 from hil_drivers.cia402 import objects as od
 from hil_drivers.cia402.bus import Inputs
+from hil_drivers.cia402.mapping import LATENCY
 from hil_drivers.cia402.profile import wrapped
 
 
@@ -137,9 +138,6 @@ def mode_text(mode: int) -> str:
     name = od.MODE_NAMES.get(mode)
     return f"{mode} ({name})" if name else str(mode)
 
-
-LATENCY = 2
-"""Cycles from sending a set-point to the answer in which it is reached (see `rows`)."""
 
 IN_A_ROW = 3
 """Cycles that an axis has to be too far away: a single answer may be a drive's hiccup."""

@@ -620,7 +620,8 @@ def unwatch(acyclic: Acyclic) -> list[int]:
     """Have drives that carry no current not mind when we leave; never raises.
 
     Else they would be in fault for that (on CAN 8130h), and an error that an operator has to see
-    would not be the present one any more. Drives that may still move have to notice that we are gone.
+    would not be the present one any more. Drives that may still move have to notice that we are
+    gone.
 
     Returns:
         Axes that are not known to carry no current.

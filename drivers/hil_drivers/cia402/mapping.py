@@ -2,7 +2,7 @@
 
 A mapping says what all axes get and answer in every cycle. On CAN a PDO is one frame of up to eight
 bytes per axis, which is why the layouts below look the way they do; a bus with room for more
-carries the same PDOs in one datagram. Where they go on CAN (COB-IDs) is said in `can_cycle`.
+carries the same PDOs in one datagram. Where they go on CAN (COB-IDs) is said in `can_channel`.
 """
 
 from __future__ import annotations
@@ -17,6 +17,10 @@ import numpy as np
 from hil_drivers.cia402 import objects as od
 
 MOST_BYTES = 8
+
+LATENCY = 2
+"""Cycles from sending a set-point to the answer in which it is reached: drives apply at a SYNC what
+was sent in the cycle before, and are there one period later (60C2h)."""
 
 LATE = 1 << 30
 """Flag of a cycle: its SYNC was late. Flag 1 << axis: not all answers of that axis came, its bytes

@@ -29,6 +29,7 @@ from hil_drivers.arm import SPEED_SLACK, refused, require_executable
 from hil_drivers.cia402 import objects as od
 from hil_drivers.cia402.bus import Inputs, Outputs
 from hil_drivers.cia402.commissioning import Drive
+from hil_drivers.cia402.mapping import LATENCY
 from hil_drivers.cia402.profile import INT16, INT32, Scaling, wrapped
 from hil_drivers.cia402.torque import TorqueModel
 
@@ -199,9 +200,8 @@ def _where(segment: Segment) -> str:
     return f"segment {segment.index} ({segment.kind})"
 
 
-BEHIND = 3
-"""Cycles from writing a set-point to the answer that shows it: it is sent in the next one, applied
-at the SYNC after that, reached by the third."""
+BEHIND = LATENCY + 1
+"""Cycles from writing a set-point to the answer that shows it: it is sent in the next one."""
 
 BEGINS_WITHIN_RAD = 1e-4
 LONGEST_STOP_S = 5.0

@@ -15,12 +15,9 @@ import numpy as np
 from hil.core import BoolArray, FloatArray, IntArray, StructArray
 from hil.robot import Status, Topic, state_dtype
 from hil_drivers.cia402.axis import FOLLOWS_COMMAND, INTERNAL_LIMIT
-from hil_drivers.cia402.mapping import INCOMPLETE, STALLED, Mapping
+from hil_drivers.cia402.mapping import INCOMPLETE, LATENCY, STALLED, Mapping
 from hil_drivers.cia402.objects import CSP, CST, VELOCITY, Entry
 from hil_drivers.cia402.profile import Scaling
-
-LATENCY = 2
-"""Cycles from sending a set-point to having reached it."""
 
 TOPIC = "/cia402/raw"
 
