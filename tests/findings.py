@@ -289,8 +289,7 @@ def confirmed_in_the_dashboard(folder: Path) -> str:
     from hil.dashboard.app import create_app
     from hil.dashboard.settings import Settings
     from hil.robot import Address
-    from hil.workflow.confirmation import Granted
-    from hil.workflow.desk import console_desk
+    from hil.workflow.operator import Granted, console_desk
     from hil_mock_robot.embedded.robot import MockRobot
 
     (folder / "a.yaml").write_bytes((REPOSITORY / "experiments/ci_dwell_12.yaml").read_bytes())
@@ -361,8 +360,7 @@ def jogged_arms_are_confirmed_again(folder: Path) -> str:
     from hil.api import load, resume, run
     from hil.core.errors import NotConfirmed
     from hil.robot import Address
-    from hil.workflow.confirmation import Granted
-    from hil.workflow.desk import console_desk
+    from hil.workflow.operator import Granted, console_desk
     from hil_mock_robot.embedded.robot import MockRobot
 
     (folder / "b.yaml").write_text(
@@ -397,7 +395,7 @@ def series_are_confirmed_step_by_step(folder: Path) -> str:
     """Compare a step of a series that carries and sweeps more with what its form has shown."""
     from hil.core.errors import NotConfirmed
     from hil.planning.experiment import load as load_experiment
-    from hil.workflow.confirmation import Granted, motion_facts, together
+    from hil.workflow.operator import Granted, motion_facts, together
     from hil.workflow.preview import planned
 
     shown = []

@@ -58,9 +58,9 @@ def _main(runs: Path, prompt: str, times: str) -> None:
     from hil.excitation.motion import Hold
     from hil.planning.plan import DwellRule, LoadStep, Plan, Step
     from hil.recording.run_directory import RunDirectory
-    from hil.workflow.control import Control
     from hil.workflow.live_state import LiveState
     from hil.workflow.operator import ConsoleOperator
+    from hil.workflow.remote_control import Control
 
     first = 2 if times == "twice" else 1
     steps = [Step(i, "payload", load=i) for i in range(first)]

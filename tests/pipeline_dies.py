@@ -33,7 +33,7 @@ from hil.maintenance.schedule.occasion import Occasion
 from hil.models.model_registry import Registry
 from hil.planning.experiment import Experiment
 from hil.spec.schedule import load_schedule_spec
-from hil.workflow.driver_check import check_driver
+from hil.workflow.checks import check_driver
 
 MOST_OPERATIONS = 200
 """The campaign alone takes 130."""

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from live_run import until
 
-from hil.workflow.starting import Started, start_run
+from hil.workflow.background_runs import Started, start_run
 
 PROMPT = "Remove everything from the flange"
 

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from hil.cli.app import app
 from hil.core.errors import SpecError
 from hil.planning.experiment import load as load_experiment
-from hil.workflow.driver_check import check_driver
+from hil.workflow.checks import check_driver
 
 SPEC = """\
 hil: 1

@@ -16,7 +16,7 @@ from hil.importers.load import load_source
 from hil.recording.mcap_reader import read_topic
 from hil.recording.run_directory import RunDirectory
 from hil.spec.experiment import HoldOut
-from hil.workflow.run_report import RunReport
+from hil.workflow.running import RunReport
 
 EXPERIMENTS = Path(__file__).parent.parent / "experiments"
 

@@ -21,8 +21,10 @@ from hil.core.errors import DataError, NotConfirmed, RobotFault, SpecError, exit
 from hil.engine import Engine, Reply, nobody_goes_on
 from hil.planning.plan import Plan
 from hil.robot import Address
-from hil.workflow import confirmation, starting
-from hil.workflow.confirmation import (
+from hil.workflow import background_runs, operator
+from hil.workflow.operator import (
+    Console,
+    Desk,
     Granted,
     TypedName,
     Unconfirmed,
@@ -31,10 +33,8 @@ from hil.workflow.confirmation import (
     granted_in,
     together,
 )
-from hil.workflow.console import Console
-from hil.workflow.desk import Desk
 from hil.workflow.preview import planned
-from hil.workflow.run_report import RunReport
+from hil.workflow.running import RunReport
 from hil_mock_robot.embedded.robot import MockRobot
 
 SPEC = """
@@ -104,11 +104,11 @@ def experiment(tmp_path: Path) -> hil.Experiment:
     return hil.load(tmp_path / "small.yaml")
 
 
-def desk(confirm: confirmation.Confirm) -> Desk:
+def desk(confirm: operator.Confirm) -> Desk:
     return Desk(lambda text, meanwhile: Reply(True, "anna"), nobody_goes_on, confirm=confirm)
 
 
-def run(experiment: hil.Experiment, confirm: confirmation.Confirm) -> RunReport:
+def run(experiment: hil.Experiment, confirm: operator.Confirm) -> RunReport:
     return hil.run(experiment, runs=experiment.folder / "runs", desk=desk(confirm))
 
 
@@ -118,7 +118,7 @@ def document(report: RunReport, name: str = "start.json") -> dict[str, Any]:
 
 
 def stopped(
-    experiment: hil.Experiment, monkeypatch: pytest.MonkeyPatch, confirm: confirmation.Confirm
+    experiment: hil.Experiment, monkeypatch: pytest.MonkeyPatch, confirm: operator.Confirm
 ) -> RunReport:
     """A run that somebody stopped after its first measurements."""
     original = Engine._execute
@@ -208,7 +208,7 @@ def test_a_terminal_that_goes_away_confirms_nothing(
 def test_the_robot_is_not_held_forever_for_an_answer(
     real: object, experiment: hil.Experiment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(confirmation, "ANSWER_WITHIN_S", 0.0)
+    monkeypatch.setattr(operator, "ANSWER_WITHIN_S", 0.0)
     with pytest.raises(NotConfirmed):
         run(experiment, TypedName(FakeConsole("ur5")))
 
@@ -391,7 +391,7 @@ def test_facts_confirmed_on_a_form_move_that_robot_and_no_other(
     real: Callable[[str], None], experiment: hil.Experiment
 ) -> None:
     with planned(experiment) as (robot, plan, _):
-        facts = confirmation.motion_facts(experiment, robot, plan).to_dict()
+        facts = operator.motion_facts(experiment, robot, plan).to_dict()
     file = experiment.folder / "confirmed.json"
     file.write_text(json.dumps({"how": "dashboard", "by": "anna", "facts": facts}))
     answer = document(run(experiment, granted_in(file)))["confirmation"]
@@ -467,9 +467,9 @@ def test_a_run_that_is_started_gets_the_facts_that_were_confirmed(
         commands.append(command)
         return subprocess.Popen(["true"])
 
-    monkeypatch.setattr(starting, "begin", begin)
+    monkeypatch.setattr(background_runs, "begin", begin)
     runs = experiment.folder / "runs"
-    starting.start_run(Path(experiment.spec_source), runs, operator="anna", confirmed=FACTS)
+    background_runs.start_run(Path(experiment.spec_source), runs, operator="anna", confirmed=FACTS)
     (option,) = [word for word in commands[0] if word.startswith("--confirmed=")]
     granted = granted_in(Path(option.removeprefix("--confirmed=")))
     assert (granted.how, granted.who, granted.facts) == ("dashboard", "anna", FACTS)

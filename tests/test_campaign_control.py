@@ -13,8 +13,7 @@ from live_run import until
 
 from hil.core.errors import DataError, RecordingError
 from hil.core.live_lock import hold_run, run_holder
-from hil.workflow.control import Control
-from hil.workflow.control_files import MOST_BYTES, ControlRequest, drop
+from hil.workflow.remote_control import MOST_BYTES, Control, ControlRequest, drop
 
 
 class FakeEngine:

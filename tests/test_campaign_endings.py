@@ -20,7 +20,7 @@ from hil.engine import Engine
 from hil.engine.signals import SignalWatch
 from hil.recording.recorder import Recorder
 from hil.recording.run_directory import RunDirectory
-from hil.workflow import execute, operator, recording
+from hil.workflow import operator, recording
 
 EXPERIMENTS = Path(__file__).parent.parent / "experiments"
 DWELL = EXPERIMENTS / "ci_dwell_12.yaml"
@@ -50,7 +50,7 @@ def test_a_failed_preflight_moves_nothing_and_is_kept(
     def refuse(*arguments: Any, **options: Any) -> None:
         raise PreflightFailed("temperature: too cold")
 
-    monkeypatch.setattr(execute, "require_preflight", refuse)
+    monkeypatch.setattr(recording, "require_preflight", refuse)
     report = hil.run(hil.load(DWELL), runs=tmp_path)
     assert report.outcome == "failed"
     assert isinstance(report.error, PreflightFailed)
@@ -161,7 +161,7 @@ def test_a_criterion_in_the_wrong_unit_is_refused_before_anything_moves(tmp_path
 
 
 @pytest.mark.parametrize(
-    ("module", "step"), [(recording, "write_beginning"), (execute, "open_recorder")]
+    ("module", "step"), [(recording, "write_beginning"), (recording, "open_recorder")]
 )
 def test_a_signal_before_the_motion_still_leaves_a_whole_directory(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: Any, step: str
@@ -185,7 +185,7 @@ def test_a_disk_that_fills_up_before_the_motion_leaves_a_failed_run(
     def full(*arguments: Any, **options: Any) -> Any:
         raise RecordingError("no space left on device")
 
-    monkeypatch.setattr(execute, "open_recorder", full)
+    monkeypatch.setattr(recording, "open_recorder", full)
     with pytest.raises(RecordingError):
         hil.run(hil.load(DWELL), runs=tmp_path)
     (run,) = tmp_path.glob("*/*/*")

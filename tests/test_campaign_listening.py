@@ -26,10 +26,8 @@ from hil.recording.run_directory import RunDirectory
 from hil.report import render_report
 from hil.robot import Capabilities, Identity, Limits, Listens, Robot
 from hil.robot.state import Status, Topic
-from hil.workflow import listening
-from hil.workflow.listened import Wanted
-from hil.workflow.listening import listen
-from hil.workflow.listening_notes import fit_notes
+from hil.workflow import passive_recording
+from hil.workflow.passive_recording import Wanted, fit_notes, listen
 
 BLOCK = 10
 LATER_S = 3.0
@@ -102,7 +100,7 @@ def use(monkeypatch):
     """Let the station's robot be this one."""
 
     def use(robot) -> Driven:
-        monkeypatch.setattr(listening, "open_robot", lambda name, entry: robot)
+        monkeypatch.setattr(passive_recording, "open_robot", lambda name, entry: robot)
         return robot
 
     return use

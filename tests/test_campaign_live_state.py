@@ -18,8 +18,7 @@ from hil.engine import Observers, observers
 from hil.engine.interlocks import Margin
 from hil.robot import Capabilities
 from hil.workflow import live_state
-from hil.workflow.arm_view import ArmView
-from hil.workflow.live_state import LiveState, read_live, standing_in
+from hil.workflow.live_state import ArmView, LiveState, read_live, standing_in
 
 PROGRESS: dict[str, Any] = {
     "kind": "progress", "step": 11, "steps": 50, "doing": "dwell", "pose": 5, "trajectory": -1,

@@ -17,7 +17,7 @@ from hil.estimators import load_model_file
 from hil.estimators.static_model import StaticWls
 from hil.importers.load import gravity_of, load_source
 from hil.recording.run_directory import RunDirectory
-from hil.workflow.run_report import RunReport
+from hil.workflow.running import RunReport
 
 SPEC = Path(__file__).parent.parent / "experiments" / "ci_dwell_12.yaml"
 WALL = [-9.81, 0.0, 0.0]

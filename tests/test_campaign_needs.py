@@ -22,9 +22,8 @@ from hil.estimators.rigid_linear import RigidLinear
 from hil.estimators.static_model import StaticWls
 from hil.planning.commissioning import Commissioning
 from hil.planning.experiment import load as load_experiment
-from hil.workflow.arm_check import require_within_reach
-from hil.workflow.driver_check import check_driver
-from hil.workflow.starting import check_start
+from hil.workflow.background_runs import check_start
+from hil.workflow.checks import check_driver, require_within_reach
 
 SIX = "excitation: {kind: dwell, waypoints: 6}\nfit: [{estimator: static-wls}]"
 TOO_FEW = (

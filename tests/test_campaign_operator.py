@@ -25,11 +25,12 @@ from hil.core.errors import PreflightFailed, SpecError, Stopped
 from hil.engine import NOBODY, Reply
 from hil.planning.plan import LoadStep, Step
 from hil.robot import Capabilities
-from hil.workflow.answers import ScriptedOperator, load_answers
-from hil.workflow.console import Console
-from hil.workflow.desk import console_desk
 from hil.workflow.operator import (
+    Console,
     ConsoleOperator,
+    ScriptedOperator,
+    console_desk,
+    load_answers,
     mock_mounts,
     prompt_on,
     prompts_of,
@@ -424,7 +425,7 @@ import os, signal, subprocess, sys
 child = subprocess.Popen([sys.executable, "-c", '''
 import os, sys, time
 os.setpgid(0, 0)
-from hil.workflow.console import Console
+from hil.workflow.operator import Console
 console, began = Console(), time.monotonic()
 console.forget_typed()
 while time.monotonic() - began < 0.5:
@@ -449,6 +450,6 @@ def test_a_run_in_the_background_is_not_suspended_by_its_own_question() -> None:
 
 
 def test_a_console_that_has_gone_is_no_console() -> None:
-    code = "from hil.workflow.console import Console; assert not Console().present"
+    code = "from hil.workflow.operator import Console; assert not Console().present"
     done = subprocess.run([sys.executable, "-c", code], stdin=subprocess.DEVNULL)
     assert done.returncode == 0

@@ -13,7 +13,7 @@ from hil.arms.payload import Payload
 from hil.core.typing import FloatArray
 from hil.excitation.motion import Hold, Line
 from hil.planning.plan import LoadStep, Plan, Step
-from hil.workflow.remaining import connected_steps, legs_of, remaining_steps
+from hil.workflow.resuming import connected_steps, legs_of, remaining_steps
 
 
 def line(a: float, b: float) -> Line:

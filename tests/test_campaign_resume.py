@@ -29,9 +29,9 @@ from hil.recording.mcap_reader import read_topic
 from hil.recording.recorder import Recorder
 from hil.recording.run_directory import RunDirectory
 from hil.workflow import operator, resuming
+from hil.workflow.judging import FOLDER
 from hil.workflow.live_state import LIVE_FILE, read_live
-from hil.workflow.steering import stop_run
-from hil.workflow.trainings import FOLDER
+from hil.workflow.remote_control import stop_run
 
 SPEC = """
 hil: 1

@@ -20,10 +20,10 @@ from hil.core.errors import DataError, RecordingError, SpecError
 from hil.recording.events import read_events
 from hil.recording.provenance import STARTED_ID, collect_provenance, started_as
 from hil.recording.run_directory import RunDirectory
-from hil.workflow import detached, starting
+from hil.workflow import background_runs
+from hil.workflow.background_runs import Started, check_start, start_run, started_runs
 from hil.workflow.live_state import read_live
-from hil.workflow.starting import Started, check_start, start_run, started_runs
-from hil.workflow.steering import answer_run
+from hil.workflow.remote_control import answer_run
 
 pytestmark = pytest.mark.wire
 
@@ -31,7 +31,7 @@ SLEEP = "import time; time.sleep(60)"
 HOLDS = """
 import sys, time
 from pathlib import Path
-from hil.workflow.control_files import hold_attempt
+from hil.workflow.remote_control import hold_attempt
 with hold_attempt(Path(sys.argv[1])):
     time.sleep(60)
 """
@@ -94,7 +94,7 @@ def test_one_that_dies_before_it_has_a_run_directory_leaves_its_last_words(tmp_p
         started.cancel()
     assert started.made == []
     assert "upper arm and near" in "\n".join(started.last_words)
-    assert len(started.last_words) <= detached.LAST_LINES
+    assert len(started.last_words) <= background_runs.LAST_LINES
 
 
 def test_another_process_with_its_number_is_not_it(tmp_path: Path) -> None:
@@ -108,7 +108,7 @@ def test_another_process_with_its_number_is_not_it(tmp_path: Path) -> None:
 def test_what_a_record_claims_to_be_its_process_is_not_ended(tmp_path: Path, given: str) -> None:
     environment = os.environ | ({STARTED_ID: given} if given else {})
     with subprocess.Popen([sys.executable, "-c", SLEEP], env=environment) as other:
-        ticks = detached.ticks_of(other.pid)
+        ticks = background_runs.ticks_of(other.pid)
         forged = Started("x", str(tmp_path), "s", "", "", other.pid, ticks, 0.0, platform.node())
         assert forged.alive
         with pytest.raises(DataError, match="left alone"):
@@ -120,13 +120,15 @@ def test_what_a_record_claims_to_be_its_process_is_not_ended(tmp_path: Path, giv
 def test_a_run_that_hangs_before_it_listens_is_cancelled_by_a_signal(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hil.workflow.started.is_ours", lambda pid, name: pid == hanging.pid)
+    monkeypatch.setattr(
+        "hil.workflow.background_runs.is_ours", lambda pid, name: pid == hanging.pid
+    )
     directory = RunDirectory.create(tmp_path.resolve(), "ur5", "held")
     directory.write_start({"uid": "u"})
     run = directory.path
     with subprocess.Popen([sys.executable, "-c", HOLDS, str(run)]) as hanging:
         until(lambda: (run / ".control").is_dir())
-        ticks, node = detached.ticks_of(hanging.pid), platform.node()
+        ticks, node = background_runs.ticks_of(hanging.pid), platform.node()
         started = Started("x", str(tmp_path), str(run), "", "", hanging.pid, ticks, 0.0, node)
         assert started.made == [run]
         started.cancel("anna")
@@ -141,7 +143,7 @@ def test_only_a_file_is_a_log(tmp_path: Path, kind: str) -> None:
         log.symlink_to(secret)
     else:
         os.mkfifo(log)
-    assert detached.last_lines(log) == []
+    assert background_runs.last_lines(log) == []
 
 
 def test_a_run_is_of_the_process_that_was_started_under_its_name(
@@ -165,7 +167,7 @@ def test_a_run_is_of_the_process_that_was_started_under_its_name(
 
 
 def test_only_so_many_are_remembered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(starting, "KEPT", 1)
+    monkeypatch.setattr(background_runs, "KEPT", 1)
     spec, _ = written(tmp_path)
     for _ in range(2):
         started = start_run(spec, tmp_path / "runs")
@@ -175,7 +177,7 @@ def test_only_so_many_are_remembered(tmp_path: Path, monkeypatch: pytest.MonkeyP
     third.cancel()
     until(lambda: not third.alive, 20)
     assert [each.id for each in started_runs(tmp_path / "runs")] == [third.id]
-    left = sorted(path.name for path in (tmp_path / "runs" / starting.FOLDER).iterdir())
+    left = sorted(path.name for path in (tmp_path / "runs" / background_runs.FOLDER).iterdir())
     assert left == [f"{third.id}.json", f"{third.id}.log"]
 
 
@@ -197,7 +199,7 @@ def test_a_live_run_is_cancelled_by_name_as_hil_stop_would(tmp_path: Path) -> No
 def test_a_record_of_another_kind_is_none(tmp_path: Path, key: str, value: object) -> None:
     whole = {"id": "", "runs": "", "spec": "s", "station": "", "operator": "", "pid": os.getpid(),
              "ticks": 1, "time": 1.0, "host": os.uname().nodename}  # fmt: skip
-    folder = tmp_path / starting.FOLDER
+    folder = tmp_path / background_runs.FOLDER
     folder.mkdir()
     (folder / "1.json").write_text(json.dumps(whole))
     (folder / "2.json").write_text(json.dumps(whole | {key: value}))
@@ -209,19 +211,20 @@ def test_a_record_that_cannot_be_written_ends_what_was_started(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     begun_ones = []
+    really_begin = background_runs.begin
 
     def begin(command: list[str], log: Path) -> Any:
-        begun_ones.append(detached.begin([sys.executable, "-c", SLEEP], log))
+        begun_ones.append(really_begin([sys.executable, "-c", SLEEP], log))
         return begun_ones[0]
 
     def full(*arguments: object) -> None:
         raise RecordingError("no space left on device")
 
-    monkeypatch.setattr(starting, "begin", begin)
-    monkeypatch.setattr(starting, "write_replacing", full)
+    monkeypatch.setattr(background_runs, "begin", begin)
+    monkeypatch.setattr(background_runs, "write_replacing", full)
     with pytest.raises(RecordingError):
         start_run(written(tmp_path)[0], tmp_path / "runs")
-    until(lambda: not detached.ticks_of(begun_ones[0].pid), 10)
+    until(lambda: not background_runs.ticks_of(begun_ones[0].pid), 10)
 
 
 def test_what_no_command_can_be_given_leaves_nothing(tmp_path: Path) -> None:
@@ -237,13 +240,14 @@ def test_a_spec_named_as_an_option_is_a_spec(
     monkeypatch.setenv("HIL_TOKEN", "secret of the dashboard")
     written(tmp_path)[0].rename("--runs=x.yaml")
     given: list[list[str]] = []
+    really_begin = background_runs.begin
 
     def begin(command: list[str], log: Path) -> Any:
         given.append(command)
         told = "import os; print(os.environ.get('HIL_TOKEN', 'none'))"
-        return detached.begin([sys.executable, "-c", told], log)
+        return really_begin([sys.executable, "-c", told], log)
 
-    monkeypatch.setattr(starting, "begin", begin)
+    monkeypatch.setattr(background_runs, "begin", begin)
     started = start_run(Path("--runs=x.yaml"), tmp_path / "runs", speed="10%", first="30s")
     until(lambda: not started.alive, 20)
     assert given[0][-4:] == ["--speed=10%", "--first=30s", "--", "--runs=x.yaml"]
@@ -256,4 +260,4 @@ def test_of_a_long_log_only_the_end_is_read(tmp_path: Path) -> None:
         file.truncate(3 << 30)  # takes no room
         file.seek(0, 2)
         file.write(b"\nthe end\n")
-    assert detached.last_lines(log)[-1] == "the end"
+    assert background_runs.last_lines(log)[-1] == "the end"

@@ -18,7 +18,13 @@ from hil.recording.events import read_events
 from hil.recording.run_directory import RunDirectory
 from hil.workflow.following import newest_live, only_live
 from hil.workflow.live_state import read_live
-from hil.workflow.steering import answer_run, pause_run, question_of, resume_live_run, stop_run
+from hil.workflow.remote_control import (
+    answer_run,
+    pause_run,
+    question_of,
+    resume_live_run,
+    stop_run,
+)
 
 pytestmark = pytest.mark.wire
 

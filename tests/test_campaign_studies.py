@@ -15,7 +15,7 @@ from hil.core.errors import DataError, FitError, SpecError, Stopped
 from hil.recording.run_directory import RunDirectory
 from hil.report.text import summary_lines
 from hil.studies.store import read_study, study_files
-from hil.workflow.run_report import RunReport
+from hil.workflow.running import RunReport
 from hil.workflow.studies import entries_for, run_studies
 
 SPEC = """\

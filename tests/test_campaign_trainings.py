@@ -22,9 +22,7 @@ from hil.networks.training import KeptIfPossible, Told
 from hil.recording.run_directory import RunDirectory
 from hil.spec.experiment import Fit
 from hil.spec.load import load_spec
-from hil.workflow.afterwards import judge_and_study
-from hil.workflow.judging import judge_run
-from hil.workflow.trainings import FOLDER, FitNews, fit_or_go_on
+from hil.workflow.judging import FOLDER, FitNews, fit_or_go_on, judge_and_study, judge_run
 
 EPOCHS = 3
 

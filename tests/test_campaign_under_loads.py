@@ -21,10 +21,9 @@ from hil.recording.run_directory import RunDirectory
 from hil.report.text import summary_lines
 from hil.spec.load import load_spec
 from hil.studies.store import read_study, study_files
-from hil.workflow import judging, studies, under_loads
+from hil.workflow import judging, studies
 from hil.workflow.judging import judge_run
-from hil.workflow.studies import entries_for, run_studies
-from hil.workflow.under_loads import as_in_spec, of_other_arms
+from hil.workflow.studies import as_in_spec, entries_for, of_other_arms, run_studies
 
 COUNTS = {"samples": 1000, "gaps": 0, "missing": 0, "duplicates": 0, "overruns": 0}
 SPEC = """\
@@ -187,10 +186,10 @@ def test_a_model_of_another_individual_is_told(
     assert model.training_ is not None
     model.training_ = replace(model.training_, serial="A1")
     saved = str(model.save(tmp_path / "model"))
-    monkeypatch.setattr(under_loads, "serial_of", lambda run: "B2")
+    monkeypatch.setattr(studies, "serial_of", lambda run: "B2")
     (told,) = of_other_arms(tmp_path, [saved])
     assert "OF ANOTHER ROBOT" in told
     assert "A1" in told
     assert "B2" in told
-    monkeypatch.setattr(under_loads, "serial_of", lambda run: "A1")
+    monkeypatch.setattr(studies, "serial_of", lambda run: "A1")
     assert of_other_arms(tmp_path, [saved]) == ()

@@ -18,8 +18,8 @@ from hil.planning.plan import Plan, Step
 from hil.recording.recorder import Recorder
 from hil.recording.run_directory import RunDirectory
 from hil.robot import Capabilities
-from hil.workflow.run_report import RunReport
-from hil.workflow.weighed_before import is_whole, weighed_before
+from hil.workflow.payload_check import is_whole, weighed_before
+from hil.workflow.running import RunReport
 from hil_mock_robot.embedded.robot import MockRobot
 
 SWEEP = """

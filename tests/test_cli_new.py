@@ -165,7 +165,7 @@ def test_a_built_in_robot_in_place_of_that_of_a_station_beside_is_told(
     def enough(*_: object) -> None:
         raise SpecError("enough")
 
-    monkeypatch.setattr("hil.workflow.driver_check.check_driver", enough)
+    monkeypatch.setattr("hil.workflow.checks.check_driver", enough)
     monkeypatch.setattr("hil.cli.attended.Attended.run", enough)
     (spec, *_) = written("dwell")
     Path("mine-station.yaml").write_text(

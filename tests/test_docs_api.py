@@ -18,7 +18,7 @@ import hil
 from hil import api
 from hil.cli.app import app
 from hil.evaluation.fitting import FitReport, Fitted
-from hil.workflow.run_report import RunReport
+from hil.workflow.running import RunReport
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "reference" / "api.md").read_text("utf-8")

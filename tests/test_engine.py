@@ -19,7 +19,7 @@ from hil.engine import Observers, Outcome, Reply, RunState
 from hil.engine.engine import IllegalTransition, StateMachine
 from hil.engine.interlocks import Threshold, interlocks_from_spec
 from hil.robot import Robot
-from hil.spec.experiment import SpeedInterlock, TemperatureInterlock, TrackingErrorInterlock
+from hil.spec.interlocks import SpeedInterlock, TemperatureInterlock, TrackingErrorInterlock
 
 pytestmark = pytest.mark.quick
 

@@ -17,7 +17,7 @@ from hil.maintenance.fleet import worker, workers
 from hil.maintenance.fleet.worker import Job
 from hil.maintenance.fleet.workers import Manner, Workers
 from hil.models.fleet_folder import FleetFolder
-from hil.workflow.desk import Desk
+from hil.workflow.operator import Desk
 from hil.workflow.series import Ended
 
 TOLD = {"outcome": "completed"}

@@ -22,7 +22,7 @@ from hil.models.compare import Comparison
 from hil.models.model_registry import Registry
 from hil.models.version import ModelVersion
 from hil.studies.result import StudyResult, Table
-from hil.workflow.run_report import RunReport
+from hil.workflow.running import RunReport
 
 pytestmark = pytest.mark.quick
 

@@ -33,7 +33,7 @@ from hil.robot import HasChecks, HasResource, HasSpeedScaling, HasTopics, Robot
 from hil.robot.subprocess_robot import RobotProcess
 from hil.spec.station import StationRobot
 from hil.testing.moves import move
-from hil.workflow.driver_check import check_driver
+from hil.workflow.checks import check_driver
 from hil_mock_robot.embedded.robot import MockRobot
 
 ROOT = Path(__file__).parent.parent

@@ -22,7 +22,7 @@ from hil.planning import robots
 from hil.planning.experiment import load as load_experiment
 from hil.robot import Finding, Status, state_dtype
 from hil.robot.lease import leased
-from hil.workflow import driver_check
+from hil.workflow import checks
 
 SPEC = Path(__file__).parent.parent / "experiments" / "ci_fourier_2.yaml"
 
@@ -41,7 +41,7 @@ class Arm:
     @property
     def capabilities(self) -> Any:
         """In wall time."""
-        return driver_check.Capabilities(  # the rest does not matter here
+        return checks.Capabilities(  # the rest does not matter here
             joint_names=tuple("abcdef"),
             rate_hz=125.0,
             effort_kind="current",

@@ -26,9 +26,8 @@ from hil.dashboard.listeners import Listeners
 from hil.dashboard.settings import Settings
 from hil.dashboard.threads import AT_MOST
 from hil.recording.run_directory import RunDirectory
-from hil.workflow.control_files import waiting
 from hil.workflow.live_state import LIVE_FILE, LiveState, read_live
-from hil.workflow.steering import answer_run, question_of
+from hil.workflow.remote_control import answer_run, question_of, waiting
 
 HOST = "127.0.0.1:8350"
 LINES = "Mount:\n\t- the 3\u00a0kg disc\r\n\t- four <M6> screws \x1b[2J"

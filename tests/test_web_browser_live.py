@@ -21,8 +21,7 @@ from live_run import live_run
 from live_run import until as wait
 
 from hil.recording.run_directory import RunDirectory
-from hil.workflow.detached import ticks_of
-from hil.workflow.starting import Started
+from hil.workflow.background_runs import Started, ticks_of
 
 pytestmark = [pytest.mark.wire, pytest.mark.timeout(120)]
 

@@ -17,8 +17,7 @@ from hil.dashboard.resume_pages import way_on
 from hil.dashboard.settings import Settings
 from hil.dashboard.streams import _LiveRuns
 from hil.runs import run_folders as known_runs
-from hil.workflow.detached import ticks_of
-from hil.workflow.started import FOLDER, Started
+from hil.workflow.background_runs import FOLDER, Started, ticks_of
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ from hil.dashboard.app import create_app
 from hil.dashboard.held_by import held_by
 from hil.dashboard.settings import Settings
 from hil.robot.lease import leased
-from hil.workflow.started import FOLDER, Started
+from hil.workflow.background_runs import FOLDER, Started
 
 
 @pytest.fixture

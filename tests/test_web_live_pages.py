@@ -21,8 +21,7 @@ from hil.dashboard.live_facts import LiveRun, header_of
 from hil.dashboard.settings import Settings
 from hil.recording.run_directory import RunDirectory
 from hil.robot import Capabilities
-from hil.workflow.arm_view import ArmView
-from hil.workflow.live_state import LiveState
+from hil.workflow.live_state import ArmView, LiveState
 
 pytestmark = pytest.mark.quick
 

@@ -25,7 +25,7 @@ from web_parts import dashboard, failing
 
 from hil.core.errors import PlanError
 from hil.dashboard import plan_process, planning
-from hil.workflow.detached import ticks_of
+from hil.workflow.background_runs import ticks_of
 
 ENDLESS = "excitation.waypoints=100000"
 ASKED = {"spec": "", "station": "", "overrides": {}, "speed": "", "first": ""}

@@ -21,9 +21,9 @@ from hil.core.live_lock import hold_run
 from hil.dashboard.app import create_app
 from hil.dashboard.settings import Settings
 from hil.recording.run_directory import RunDirectory
+from hil.workflow.background_runs import Started, go_on_with, started_runs
 from hil.workflow.live_state import read_live
-from hil.workflow.starting import Started, go_on_with, started_runs
-from hil.workflow.steering import answer_run
+from hil.workflow.remote_control import answer_run
 
 PAGE = {"accept": "text/html"}
 

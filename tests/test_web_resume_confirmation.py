@@ -24,8 +24,8 @@ import hil
 from hil.core.errors import RobotConnectionError
 from hil.dashboard import motions, plan_process, resume_pages
 from hil.robot import Address
-from hil.workflow.confirmation import Granted
-from hil.workflow.starting import started_runs
+from hil.workflow.background_runs import started_runs
+from hil.workflow.operator import Granted
 from hil_mock_robot.embedded.robot import MockRobot
 
 

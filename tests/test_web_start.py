@@ -20,7 +20,7 @@ from hil.dashboard.app import create_app
 from hil.dashboard.once import Once
 from hil.dashboard.settings import Settings
 from hil.recording.run_directory import RunDirectory
-from hil.workflow.starting import started_runs
+from hil.workflow.background_runs import started_runs
 
 PAGE = {"accept": "text/html"}
 

@@ -24,7 +24,7 @@ from hil.maintenance.fleet.members import spec_for
 from hil.spec.load import load_spec, load_station
 from hil.spec.schedule import load_schedule_spec
 from hil.spec.series import load_series_spec
-from hil.workflow.answers import load_answers
+from hil.workflow.operator import load_answers
 from hil_mock_robot.ur.faults import read_faults
 
 MOST_CPU_S = 0.05

@@ -18,9 +18,7 @@ from hil.planning.build import build_plan
 from hil.planning.plan import Plan, Step
 from hil.robot import Capabilities, state_dtype
 from hil.spec.experiment import Weigh
-from hil.workflow.scales import gains_of, reading_of
-from hil.workflow.weighed_before import Readings
-from hil.workflow.weighing import Weighing
+from hil.workflow.payload_check import Readings, Weighing, gains_of, reading_of
 from hil_mock_robot.embedded.robot import MockRobot
 
 UPRIGHT = (0.0, 0.0, -9.81)

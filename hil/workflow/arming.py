@@ -32,18 +32,18 @@ from hil.recording import operator as this_user
 from hil.recording import utc_now
 from hil.robot import UNKNOWN, address_of
 from hil.spec import spec_hash
-from hil.workflow.confirmation import (
+from hil.workflow.operator import (
     ANSWER_WITHIN_S,
     LOOK_EVERY_S,
     TYPED,
     Confirm,
+    Console,
     Granted,
     MotionFacts,
     Unconfirmed,
     digest_of,
     motion_facts,
 )
-from hil.workflow.console import Console
 from hil.workflow.preview import planned
 
 Document = dict[str, Any]

@@ -1,16 +1,28 @@
-"""After the motion: split, fit, evaluate, verdict. Pure functions of the run directory."""
+"""After the motion: fits, verdict and studies, while somebody may still press Ctrl-C.
+
+All are pure functions of the run directory. `RUN/.training/<estimator>-<digest>/` holds the
+training of a network as far as it is: whoever is interrupted goes on from there with `hil resume`,
+and once there is a verdict nobody needs it any more.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import hashlib
+import shutil
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from hil.core import DataError, FitError, HilError, read_json
+from hil.core import CheckpointRefused, DataError, FitError, HilError, Stopped, Throttle, read_json
 from hil.data import Dataset
 from hil.dynamics import load_model
-from hil.estimators import HONEST, estimator
+from hil.engine import Observers, Outcome, SignalWatch, StopSignal
+from hil.estimators import HONEST, estimator, json_bytes
 from hil.evaluation import (
+    DIGEST_LENGTH,
     EVALUATION_FILE,
     FailedFit,
     Fitted,
@@ -23,10 +35,128 @@ from hil.evaluation import (
     verdict_document,
 )
 from hil.importers import load_source
+from hil.planning import Experiment
 from hil.recording import RunDirectory
-from hil.spec import ExperimentSpec, Fit
-from hil.workflow.trainings import FitNews, Tell, fit_or_go_on, forget, nobody
-from hil.workflow.under_loads import Row, judge_under_loads
+from hil.spec import ExperimentSpec, Fit, StudyEntry
+from hil.studies import Ended
+from hil.workflow.recording import Recorded
+from hil.workflow.studies import Row, Tell, judge_under_loads, missing_studies, run_studies
+
+if TYPE_CHECKING:
+    from hil.networks import Told
+
+
+def judge_and_study(
+    experiment: Experiment,
+    recorded: Recorded,
+    signals: SignalWatch,
+    watching: Observers,
+    keep: Callable[[Judged], object] = lambda judged: None,
+) -> HilError | None:
+    """Fit, judge and study a completed run; return what ended it early, or what is missing.
+
+    If the run was judged already, because its process died later, only missing studies are made.
+    `keep` is called with every model that is judged now.
+    """
+    entries = experiment.spec.study
+    if recorded.directory.is_judged:
+        error = missing_models(recorded.directory)
+        entries = missing_studies(recorded.directory.path, entries)
+    else:
+        error = _judge(experiment, recorded, signals, watching, keep)
+    if signals.seen or not _is_whole(recorded):
+        return error
+    return _both(error, _study(entries, recorded, signals, watching))
+
+
+def _judge(
+    experiment: Experiment,
+    recorded: Recorded,
+    signals: SignalWatch,
+    watching: Observers,
+    keep: Callable[[Judged], object],
+) -> HilError | None:
+    """Fit and judge a completed run; returns what ended the run or the fit early."""
+    result = recorded.result
+    if result.outcome is not Outcome.COMPLETED:
+        return result.error
+    if "commissioning" in recorded.directory.start:
+        return None  # a part of the program, or another speed: there is no model to be judged
+    if signals.seen:
+        return Stopped(
+            "stopped after the motion, before the fit",
+            by_signal=True,
+            hint="hil fit RUN -e ESTIMATOR fits what was recorded",
+        )
+    names = ", ".join(fit.estimator for fit in experiment.spec.fit)
+    watching.publish({"kind": "stage", "stage": f"fitting {names}" if names else "judging"})
+    try:
+        judge_run(recorded.directory, experiment.spec, recorded.counts, watching.publish, keep=keep)
+    except (Exception, StopSignal) as error:
+        if signals.seen:
+            return _stopped(recorded, signals)
+        if isinstance(error, HilError):
+            return error
+        raise
+    return None
+
+
+def _stopped(recorded: Recorded, signals: SignalWatch) -> Stopped:
+    """What a signal during the fits leaves, and how to go on."""
+    path = recorded.directory.path
+    kept = "; the training is kept" if are_kept(path) else ""
+    told = f"{signals.reason} during the fits; the recording is complete{kept}"
+    return Stopped(told, hint=f"go on with: hil resume {path}", by_signal=True)
+
+
+def _is_whole(recorded: Recorded) -> bool:
+    """Whether all of the program was measured as it was planned."""
+    commissioning = "commissioning" in recorded.directory.start
+    return recorded.result.outcome is Outcome.COMPLETED and not commissioning
+
+
+def _both(fits: HilError | None, studies: HilError | None) -> HilError | None:
+    """One error where models and studies are missing; a stop by signal comes before all else."""
+    if fits is None or studies is None or isinstance(studies, Stopped):
+        return studies or fits
+    hints = dict.fromkeys(filter(None, (fits.hint, studies.hint)))
+    out = type(fits)(f"{fits.message}; {studies.message}", hint="; ".join(hints))
+    out.__cause__ = fits
+    return out
+
+
+def _study(
+    entries: Sequence[StudyEntry], recorded: Recorded, signals: SignalWatch, watching: Observers
+) -> HilError | None:
+    """Make studies of the spec; return what ended them early, or why some are missing."""
+
+    def watch(name: str, what: str, done: int, total: int) -> None:
+        event = {"kind": "study", "study": name, "what": what, "done": done, "total": total}
+        watching.publish(event)
+
+    def fitted(name: str, ended: Ended) -> None:
+        watching.publish({"kind": "study_fit", "study": name, "ended": asdict(ended)})
+
+    path = recorded.directory.path
+    if not entries:
+        return None
+    names = ", ".join(entry.study for entry in entries)
+    watching.publish({"kind": "stage", "stage": f"studying the run: {names}"})
+    try:
+        return run_studies(path, entries, watch, fitted).error
+    except (Exception, StopSignal) as error:
+        if signals.seen:
+            told = f"{signals.reason} during the studies; the run and its models are complete"
+            return Stopped(told, hint=f"make them with: hil study {path}", by_signal=True)
+        if isinstance(error, HilError):
+            return error
+        raise
+    finally:
+        watching.publish({"kind": "study", "study": ""})
+
+
+def nobody(event: Mapping[str, Any]) -> None:
+    """Fits that nobody watches."""
 
 
 def judge_run(
@@ -45,7 +175,7 @@ def judge_run(
 
     With `validate.under_loads` the models are also judged under every load of the run.
 
-    How far fits are is told as `hil.workflow.trainings` says. `keep` is called with every judged
+    How far fits are is told as `FitNews` says. `keep` is called with every judged
     model.
 
     Returns:
@@ -86,20 +216,6 @@ def judge_run(
     return passed
 
 
-def judge_recording(
-    directory: RunDirectory, spec: ExperimentSpec, counts: Mapping[str, int]
-) -> bool | None:
-    """Judge a run by its recording alone and write `verdict.json`; for specs without `fit`.
-
-    Returns:
-        False when a criterion is missed; else None: no model was judged.
-    """
-    document = verdict_document(recording_rows(spec.accept, counts), ())
-    directory.write_verdict(document)
-    passed: bool | None = document["passed"]
-    return passed
-
-
 def _loaded(directory: RunDirectory, problems: list[FailedFit]) -> Dataset | None:
     try:
         return load_source(directory.path)
@@ -129,6 +245,15 @@ def _judge_one(
     return judged
 
 
+def _as_fit_error(name: str, error: Exception) -> FitError:
+    told = FitError(
+        f"{name} broke down: {type(error).__name__}: {error}",
+        hint="this is a fault of the estimator: report it to whoever wrote it",
+    )
+    told.__cause__ = error
+    return told
+
+
 def _verdict_document(
     judged: Sequence[Judged],
     problems: Sequence[FailedFit],
@@ -150,13 +275,28 @@ def _verdict_document(
     )
 
 
-def _as_fit_error(name: str, error: Exception) -> FitError:
-    told = FitError(
-        f"{name} broke down: {type(error).__name__}: {error}",
-        hint="this is a fault of the estimator: report it to whoever wrote it",
-    )
-    told.__cause__ = error
-    return told
+def _all_in_one(problems: Sequence[FailedFit], directory: RunDirectory) -> HilError:
+    """One error for all models that are missing; the recording is at fault only if it alone is."""
+    kind = DataError if all(isinstance(p.error, DataError) for p in problems) else FitError
+    told = [": ".join(filter(None, (p.estimator, p.error.message))) for p in problems]
+    hints = list(dict.fromkeys(p.error.hint for p in problems if p.error.hint))
+    out = kind("; ".join(told), hint="; ".join(hints) or f"hil show {directory.path}")
+    out.__cause__ = problems[0].error
+    return out
+
+
+def judge_recording(
+    directory: RunDirectory, spec: ExperimentSpec, counts: Mapping[str, int]
+) -> bool | None:
+    """Judge a run by its recording alone and write `verdict.json`; for specs without `fit`.
+
+    Returns:
+        False when a criterion is missed; else None: no model was judged.
+    """
+    document = verdict_document(recording_rows(spec.accept, counts), ())
+    directory.write_verdict(document)
+    passed: bool | None = document["passed"]
+    return passed
 
 
 def missing_models(directory: RunDirectory) -> HilError | None:
@@ -172,11 +312,96 @@ def missing_models(directory: RunDirectory) -> HilError | None:
     return FitError("; ".join(messages), hint=hint) if messages else None
 
 
-def _all_in_one(problems: Sequence[FailedFit], directory: RunDirectory) -> HilError:
-    """One error for all models that are missing; the recording is at fault only if it alone is."""
-    kind = DataError if all(isinstance(p.error, DataError) for p in problems) else FitError
-    told = [": ".join(filter(None, (p.estimator, p.error.message))) for p in problems]
-    hints = list(dict.fromkeys(p.error.hint for p in problems if p.error.hint))
-    out = kind("; ".join(told), hint="; ".join(hints) or f"hil show {directory.path}")
-    out.__cause__ = problems[0].error
-    return out
+FOLDER = ".training"
+
+EVERY_S = 0.1
+"""Epochs are told no more often than this [s]."""
+
+
+class FitNews:
+    """What is told of one of the fits of a run; the watch of its trainings.
+
+    Args:
+        estimator: Its name.
+        number: From 1.
+        total: How many there are.
+        tell: Whoever watches.
+    """
+
+    def __init__(self, estimator: str, number: int, total: int, tell: Tell) -> None:
+        self._which = {"estimator": estimator, "number": number, "total": total}
+        self._tell, self._often, self._unkept = tell, Throttle(EVERY_S), False
+
+    def __call__(self, told: Told) -> None:
+        """Tell an epoch if it is time to; the first of every network in any case."""
+        if self._often.due(anyway=told.epoch == 1):
+            self._tell({"kind": "training", **self._which, "epoch": asdict(told)})
+
+    def not_kept(self, error: HilError) -> None:
+        """Tell once that the disk does not take the trainings; the fit goes on."""
+        if not self._unkept:
+            self.note(f"{error.message}; the fit goes on without")
+        self._unkept = True
+
+    def note(self, text: str) -> None:
+        """Tell something that a person should know of the fit."""
+        self._tell({"kind": "fit_note", **self._which, "text": text})
+
+    @contextmanager
+    def ended(self) -> Iterator[None]:
+        """Tell how long what is inside took, and whether it failed; nothing of an interrupt."""
+        begin = time.perf_counter()
+        try:
+            yield
+        except Exception:
+            self._ended(begin, failed=True)
+            raise
+        self._ended(begin, failed=False)
+
+    def _ended(self, begin: float, *, failed: bool) -> None:
+        ending = {"seconds": time.perf_counter() - begin, "failed": failed}
+        self._tell({"kind": "fitted", **self._which, **ending})
+
+
+def fit_or_go_on(
+    run: Path, fit: Fit, make: Callable[[Path], Fitted], note: Callable[[str], None]
+) -> Fitted:
+    """Make a fit, going on with its trainings if it was interrupted.
+
+    A training that cannot be gone on with, say one of another version, is removed and begun anew;
+    others of the same fit stay.
+
+    Args:
+        run: The run directory.
+        fit: The entry of the spec.
+        make: Fits, keeping trainings in the folder that it is given.
+        note: Told what is begun anew, and why.
+    """
+    folder = _folder(run, fit)
+    removed: set[Path] = set()
+    while True:
+        try:
+            return make(folder)
+        except CheckpointRefused as error:
+            refused = error.folder
+            if refused is None or refused in removed or not refused.is_relative_to(folder):
+                raise
+            removed.add(refused)
+            note(f"{error.message}; this training begins anew")
+            shutil.rmtree(refused, ignore_errors=True)
+
+
+def _folder(run: Path, fit: Fit) -> Path:
+    text = json_bytes({"estimator": fit.estimator, "parameters": fit.parameters})
+    digest = hashlib.sha256(text).hexdigest()[:DIGEST_LENGTH]
+    return run / FOLDER / f"{fit.estimator}-{digest}"
+
+
+def forget(run: Path) -> None:
+    """Remove what was kept: the run is judged."""
+    shutil.rmtree(run / FOLDER, ignore_errors=True)
+
+
+def are_kept(run: Path) -> bool:
+    """Whether a training of the run can be gone on with."""
+    return any((run / FOLDER).glob("*/**/checkpoint.json"))

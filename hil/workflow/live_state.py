@@ -8,10 +8,11 @@ and it goes when the run ends.
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -25,20 +26,19 @@ from hil.core import (
     run_holder,
     write_replacing,
 )
-from hil.engine import ENDING, Standing
+from hil.engine import ENDING, HasMargin, Interlock, Standing
 from hil.recording import utc_now
-from hil.workflow.arm_view import FIELDS, ArmView
+from hil.robot import Capabilities, Status
 
 LIVE_FILE = ".live.json"
 LIVE_VERSION = 1
+
 EVERY_S = 0.25
 """Wall time between two views while nothing special happens [s]."""
 
 LARGEST = 2.0**53
 """What is larger is no count and no time of a run."""
 
-_TEXTS = {field.name for field in fields(Standing) if isinstance(field.default, str)}
-_NUMBERS = {field.name for field in fields(Standing)} - _TEXTS | {"t", "percent", "left_s"}
 _NEWS = frozenset({"stage", "state", "prompt"})
 _PROGRESS = frozenset({"step", "progress"})
 
@@ -125,16 +125,18 @@ def read_live(run: Path) -> dict[str, Any]:
     return plain
 
 
-def standing_in(view: Mapping[str, Any]) -> Standing:
-    """Where a run stands, from its live view; what the view does not say keeps its default."""
-    standing = Standing()
-    for field in fields(Standing):
-        value, default = view.get(field.name), getattr(standing, field.name)
-        if _is_number(value) and not isinstance(default, str):
-            setattr(standing, field.name, type(default)(value))
-        elif isinstance(value, str) and isinstance(default, str):
-            setattr(standing, field.name, value)
-    return standing
+def _is_plain(value: Any) -> bool:
+    return value is None or isinstance(value, str | bool) or _is_number(value)
+
+
+def _is_number(value: Any) -> bool:
+    """Whether it is a number to calculate with: neither NaN nor endless nor longer than a float."""
+    known = isinstance(value, int | float) and not isinstance(value, bool)
+    return known and -LARGEST < value < LARGEST
+
+
+_TEXTS = {field.name for field in fields(Standing) if isinstance(field.default, str)}
+_NUMBERS = {field.name for field in fields(Standing)} - _TEXTS | {"t", "percent", "left_s"}
 
 
 def _fits(key: str, value: Any) -> bool:
@@ -142,6 +144,16 @@ def _fits(key: str, value: Any) -> bool:
     if key in _NUMBERS:
         return _is_number(value)
     return isinstance(value, str) or key not in _TEXTS
+
+
+FIELDS = {
+    "q_rad": "q",
+    "qd_rad_s": "qd",
+    "effort": "effort",
+    "temperature_c": "temperature",
+    "q_target_rad": "q_target",
+}
+"""Key in the view → field of the state record."""
 
 
 def _arm(told: Mapping[str, Any]) -> dict[str, Any]:
@@ -166,11 +178,71 @@ def _flat(told: Mapping[str, Any]) -> dict[str, Any]:
     return kept
 
 
-def _is_plain(value: Any) -> bool:
-    return value is None or isinstance(value, str | bool) or _is_number(value)
+def standing_in(view: Mapping[str, Any]) -> Standing:
+    """Where a run stands, from its live view; what the view does not say keeps its default."""
+    standing = Standing()
+    for field in fields(Standing):
+        value, default = view.get(field.name), getattr(standing, field.name)
+        if _is_number(value) and not isinstance(default, str):
+            setattr(standing, field.name, type(default)(value))
+        elif isinstance(value, str) and isinstance(default, str):
+            setattr(standing, field.name, value)
+    return standing
 
 
-def _is_number(value: Any) -> bool:
-    """Whether it is a number to calculate with: neither NaN nor endless nor longer than a float."""
-    known = isinstance(value, int | float) and not isinstance(value, bool)
-    return known and -LARGEST < value < LARGEST
+class ArmView:
+    """What people are shown of an arm that is being read; judges nothing.
+
+    Args:
+        robot: Joint names and the unit of efforts.
+        interlocks: What watches over the run.
+    """
+
+    def __init__(self, robot: Capabilities, interlocks: Iterable[Interlock]) -> None:
+        self._names = list(robot.joint_names)
+        self._clock = robot.clock
+        self._unit = "A" if robot.effort_kind == "current" else "N·m"
+        self._watching = [one for one in interlocks if isinstance(one, HasMargin)]
+
+    def of(self, rows: StructArray) -> dict[str, Any]:
+        """The last of some state rows, as `arm` and `interlocks` of the live view.
+
+        An interlock that cannot tell its margin is left out; what it does is its own affair.
+        """
+        row = rows[-1]
+        arm = {
+            "device_time_s": float(row["device_time"]),
+            "joints": self._names,
+            "effort_unit": self._unit,
+            "clock": self._clock,
+            "moving": bool(row["status"] & Status.MOVING),
+            **{key: _numbers(row[field]) for key, field in FIELDS.items()},
+        }
+        return {"arm": arm, "interlocks": list(self._margins(rows))}
+
+    def _margins(self, rows: StructArray) -> Iterable[dict[str, Any]]:
+        for interlock in self._watching:
+            try:
+                margin = interlock.margin(rows)
+                told = margin and {key: _rounded(value) for key, value in margin.to_dict().items()}
+            except Exception:  # noqa: S112 - of a plugin, say: the others are shown
+                continue
+            if margin and told:
+                told["subject"] = margin.subject or self._name(margin.joint)
+                yield {"name": interlock.name, "action": interlock.action, **told}
+
+    def _name(self, joint: int) -> str:
+        """Of a margin that is no joint's (−1) nothing."""
+        return self._names[joint] if 0 <= joint < len(self._names) else ""
+
+
+def _numbers(values: Any) -> list[float | None]:
+    """What is not measured is null."""
+    return [_rounded(value) for value in values.tolist()]
+
+
+def _rounded(value: Any) -> Any:
+    """Six digits are enough to look at."""
+    if not isinstance(value, float):
+        return value
+    return float(f"{value:.6g}") if math.isfinite(value) else None

@@ -18,8 +18,7 @@ from hil.planning import (
     require_experiment,
 )
 from hil.robot import Robot
-from hil.workflow.arm_check import require_within_reach
-from hil.workflow.extras import missing_extras
+from hil.workflow.checks import missing_extras, require_within_reach
 from hil.workflow.interlocks import RunInterlocks
 
 WITHOUT_THE_ROBOT = (

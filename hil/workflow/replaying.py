@@ -28,7 +28,7 @@ from hil.recording import (
 )
 from hil.robot import STATE_TOPIC, ReadsLogs, RecordedLog, state_topic
 from hil.spec import StationRobot, load_station
-from hil.workflow.sink import counts_of, recorded_span
+from hil.workflow.recording import counts_of, recorded_span
 
 COPIED_FILES = ("spec.yaml", "station.yaml", "plan.json")
 COPIED_FACTS = (

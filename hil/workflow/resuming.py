@@ -1,4 +1,10 @@
-"""Going on with a run that ended early: what is measured stays, the rest is measured."""
+"""Go on with a run that ended early: what is measured stays, the rest is measured.
+
+A plan falls into legs: the motions that lead to one measurement, and the measurement. A leg that
+is complete in the data is never repeated, one that is not is repeated whole, so that every dwell
+is reached from the side it was planned to be reached from. Changing the load, and weighing it,
+comes before the first leg under a load, because nobody knows what happened in between.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +12,7 @@ import contextlib
 import os
 import socket
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import groupby
 from pathlib import Path
@@ -15,10 +21,11 @@ from typing import Any
 import numpy as np
 
 from hil.arms import require_same_arm
-from hil.core import DataError, PreflightFailed, read_json
+from hil.core import DataError, FloatArray, PreflightFailed, read_json
 from hil.engine import Outcome, RunResult
+from hil.excitation import STANDSTILL_RAD, Line
 from hil.importers import Completeness, completeness_of, rows_of
-from hil.planning import Approach, Experiment, Plan, held, read_plan, standing_at
+from hil.planning import Approach, Experiment, Plan, Step, held, read_plan, standing_at
 from hil.planning import load as load_experiment
 from hil.recording import (
     Counts,
@@ -31,24 +38,29 @@ from hil.recording import (
 )
 from hil.robot import Robot, Status
 from hil.spec import spec_hash
-from hil.workflow.attempt import NOTHING, Attempt, Before, Recorded
-from hil.workflow.beginning import describe_robot
-from hil.workflow.confirmation import Gate, Granted, MotionFacts, shown_by
-from hil.workflow.execute import Attendance, execute
 from hil.workflow.interlocks import RunInterlocks
-from hil.workflow.operator import prompt_on, require_attended
-from hil.workflow.recording import require_usable
-from hil.workflow.remaining import connected_steps, remaining_steps
-from hil.workflow.sink import COUNTED, counts_of
-from hil.workflow.trainings import forget
-from hil.workflow.weighed_before import Readings, is_whole, weighed_before
+from hil.workflow.judging import forget
+from hil.workflow.operator import Gate, Granted, MotionFacts, prompt_on, require_attended, shown_by
+from hil.workflow.payload_check import Readings, is_whole, weighed_before
+from hil.workflow.recording import (
+    COUNTED,
+    NOTHING,
+    Attempt,
+    Attendance,
+    Before,
+    Recorded,
+    counts_of,
+    describe_robot,
+    execute,
+    require_usable,
+)
 
 COLD_AFTER_S = 600.0
 """An arm that has stood still for longer is warmed up again before it measures on [s]."""
 
 DIED_AFTER = "the process died after the last measurement; the end was written later"
-
 SAME_IDENTITY = ("model", "serial", "firmware", "driver")
+
 SAME_ROBOT = ("model", "gravity_m_s2", "joint_names", "rate_hz", "effort_kind", "drive_gains")
 """What of `start.json:robot` must be as it was."""
 
@@ -123,6 +135,36 @@ def open_unfinished(path: Path) -> Unfinished:
     return Unfinished(directory, experiment, plan, complete)
 
 
+def _require_same(name: str, key: str, start: Mapping[str, Any], found: str) -> None:
+    if start.get(key) != found:
+        raise DataError(
+            f"{name} is not what the run was begun with: its hash is {found[:12]}…, "
+            f"start.json says {str(start.get(key))[:12]}…",
+            hint="put the original file back, or run the experiment again",
+        )
+
+
+def _require_something_left(directory: RunDirectory, complete: Completeness) -> None:
+    """Raise if a run is judged and reported, or judged and no longer complete.
+
+    A verdict holds for the recording that was judged: nothing is added to it afterwards.
+    """
+    if not directory.is_judged:
+        return
+    forget(directory.path)  # a kill between the verdict and this left it
+    if complete.missing:
+        raise DataError(
+            f"{directory.path} was judged when it was complete, but now only {complete} are whole",
+            hint="the recording was damaged since: restore it from a copy, or run the experiment "
+            "again",
+        )
+    if directory.is_reported:
+        raise DataError(
+            f"{directory.path} is complete ({complete}), judged and reported",
+            hint=f"look at it: hil show {directory.path}",
+        )
+
+
 def resume_recording(unfinished: Unfinished, attendance: Attendance) -> Recorded:
     """Measure what is missing, in a new attempt of the same run, which this process holds.
 
@@ -166,35 +208,6 @@ def resume_recording(unfinished: Unfinished, attendance: Attendance) -> Recorded
             return execute(attempt, robot, attendance)
 
 
-def remaining_motion(unfinished: Unfinished) -> MotionFacts | None:
-    """Return what has to be confirmed before a run goes on; None where nothing has to be.
-
-    The robot is leased and connected to meanwhile: the way back begins where it stands.
-
-    Raises:
-        SpecError, PluginError, RobotError, PlanError, PreflightFailed: See `resume_recording`.
-    """
-    if not unfinished.complete.missing:
-        return None
-    experiment = unfinished.experiment
-    # Nothing moves here, so that any robot is admitted.
-    gate = Gate(experiment, Granted("preview"), _confirmed_before(unfinished.directory))
-    with held(experiment, report=lambda text: None, admit=gate.admit) as (robot, _):
-        todo, _, _ = _remaining(unfinished, robot)
-        return gate.facts(robot, todo)
-
-
-def _remaining(unfinished: Unfinished, robot: Robot) -> tuple[Plan, Readings, bool]:
-    """Return what is left to execute, what the first load weighed, and whether the arm is cold."""
-    directory, plan = unfinished.directory, unfinished.plan
-    require_same_robot(directory, describe_robot(robot, unfinished.experiment.robot))
-    require_usable(unfinished.experiment, robot)
-    cold = _is_cold(unfinished, robot)
-    weighed = weighed_before(plan, directory.recordings, robot.capabilities)
-    todo = _confirmed(_todo(unfinished, robot, weighed, cold=cold), directory)
-    return todo, weighed, cold
-
-
 def _confirmed_before(directory: RunDirectory) -> Mapping[str, Any] | None:
     """Return the facts that were confirmed last; None for a run without a confirmation."""
     names = [name_of_attempt("resume.json", n) for n in range(directory.attempts - 1, 0, -1)]
@@ -206,75 +219,15 @@ def _confirmed_before(directory: RunDirectory) -> Mapping[str, Any] | None:
     return None
 
 
-def _todo(unfinished: Unfinished, robot: Robot, weighed: Readings, *, cold: bool) -> Plan:
-    """What is left, as a plan that begins where the robot stands."""
-    plan, experiment = unfinished.plan, unfinished.experiment
-    here = standing_at(robot.read()[-1])
-    approach = Approach(
-        experiment.spec,
-        experiment.robot,
-        rate_hz=robot.capabilities.rate_hz,
-        here=here,
-        targets=np.array([motion.q_end for motion in plan.motions]),
-    )
-    again = bool(weighed) and not is_whole(weighed)
-    left = remaining_steps(plan, unfinished.complete.done, cold=cold, weigh_first=again)
-    return replace(plan, steps=tuple(connected_steps(left, here, approach.way)))
-
-
-def _repeated(unfinished: Unfinished, todo: Plan, *, cold: bool) -> Iterator[str]:
-    """What is done once more, and why: a program that seems to begin anew worries people."""
-    kinds = {step.kind for step in todo}
-    weighs = {step.load for step in todo if step.kind == "weigh"}
-    events = unfinished.directory.events()
-    if any(e.get("kind") == "weighing" and e.get("load") in weighs for e in events):
-        yield "weighing again, on purpose: nobody knows what was done to the load meanwhile"
-    if cold and "warmup" in kinds and unfinished.complete.done:
-        yield "warming up again, on purpose: the arm may have cooled down meanwhile"
-
-
-def _require_something_left(directory: RunDirectory, complete: Completeness) -> None:
-    """Raise if a run is judged and reported, or judged and no longer complete.
-
-    A verdict holds for the recording that was judged: nothing is added to it afterwards.
-    """
-    if not directory.is_judged:
-        return
-    forget(directory.path)  # a kill between the verdict and this left it
-    if complete.missing:
-        raise DataError(
-            f"{directory.path} was judged when it was complete, but now only {complete} are whole",
-            hint="the recording was damaged since: restore it from a copy, or run the experiment "
-            "again",
-        )
-    if directory.is_reported:
-        raise DataError(
-            f"{directory.path} is complete ({complete}), judged and reported",
-            hint=f"look at it: hil show {directory.path}",
-        )
-
-
-def _require_same(name: str, key: str, start: Mapping[str, Any], found: str) -> None:
-    if start.get(key) != found:
-        raise DataError(
-            f"{name} is not what the run was begun with: its hash is {found[:12]}…, "
-            f"start.json says {str(start.get(key))[:12]}…",
-            hint="put the original file back, or run the experiment again",
-        )
-
-
-def require_same_robot(directory: RunDirectory, robot: Mapping[str, Any]) -> None:
-    """Two robots in one dataset would be identified as one that does not exist."""
-    recorded = directory.start.get("robot", {})
-    pairs = {key: (recorded.get(key), robot[key]) for key in SAME_ROBOT}
-    was, now = recorded.get("identity", {}), robot["identity"]
-    pairs |= {key: (was.get(key), now[key]) for key in SAME_IDENTITY}
-    differs = [f"{key} was {old!r}, is {new!r}" for key, (old, new) in pairs.items() if old != new]
-    if differs:
-        raise PreflightFailed(
-            f"this is not the robot of {directory.path}: {'; '.join(differs)}",
-            hint="connect the robot that began the run, or run the experiment again on this one",
-        )
+def _remaining(unfinished: Unfinished, robot: Robot) -> tuple[Plan, Readings, bool]:
+    """Return what is left to execute, what the first load weighed, and whether the arm is cold."""
+    directory, plan = unfinished.directory, unfinished.plan
+    require_same_robot(directory, describe_robot(robot, unfinished.experiment.robot))
+    require_usable(unfinished.experiment, robot)
+    cold = _is_cold(unfinished, robot)
+    weighed = weighed_before(plan, directory.recordings, robot.capabilities)
+    todo = _confirmed(_todo(unfinished, robot, weighed, cold=cold), directory)
+    return todo, weighed, cold
 
 
 def _is_cold(unfinished: Unfinished, robot: Robot) -> bool:
@@ -309,6 +262,22 @@ def _confirmed(plan: Plan, directory: RunDirectory) -> Plan:
     asked = replace(plan.loads[first], prompt=f"{what}: the run goes back to it")
     loads = (*plan.loads[:first], asked, *plan.loads[first + 1 :])
     return replace(plan, loads=loads)
+
+
+def _todo(unfinished: Unfinished, robot: Robot, weighed: Readings, *, cold: bool) -> Plan:
+    """What is left, as a plan that begins where the robot stands."""
+    plan, experiment = unfinished.plan, unfinished.experiment
+    here = standing_at(robot.read()[-1])
+    approach = Approach(
+        experiment.spec,
+        experiment.robot,
+        rate_hz=robot.capabilities.rate_hz,
+        here=here,
+        targets=np.array([motion.q_end for motion in plan.motions]),
+    )
+    again = bool(weighed) and not is_whole(weighed)
+    left = remaining_steps(plan, unfinished.complete.done, cold=cold, weigh_first=again)
+    return replace(plan, steps=tuple(connected_steps(left, here, approach.way)))
 
 
 def _before(directory: RunDirectory, rate_hz: float) -> Before:
@@ -346,6 +315,49 @@ def _document(
     }
 
 
+def _repeated(unfinished: Unfinished, todo: Plan, *, cold: bool) -> Iterator[str]:
+    """What is done once more, and why: a program that seems to begin anew worries people."""
+    kinds = {step.kind for step in todo}
+    weighs = {step.load for step in todo if step.kind == "weigh"}
+    events = unfinished.directory.events()
+    if any(e.get("kind") == "weighing" and e.get("load") in weighs for e in events):
+        yield "weighing again, on purpose: nobody knows what was done to the load meanwhile"
+    if cold and "warmup" in kinds and unfinished.complete.done:
+        yield "warming up again, on purpose: the arm may have cooled down meanwhile"
+
+
+def remaining_motion(unfinished: Unfinished) -> MotionFacts | None:
+    """Return what has to be confirmed before a run goes on; None where nothing has to be.
+
+    The robot is leased and connected to meanwhile: the way back begins where it stands.
+
+    Raises:
+        SpecError, PluginError, RobotError, PlanError, PreflightFailed: See `resume_recording`.
+    """
+    if not unfinished.complete.missing:
+        return None
+    experiment = unfinished.experiment
+    # Nothing moves here, so that any robot is admitted.
+    gate = Gate(experiment, Granted("preview"), _confirmed_before(unfinished.directory))
+    with held(experiment, report=lambda text: None, admit=gate.admit) as (robot, _):
+        todo, _, _ = _remaining(unfinished, robot)
+        return gate.facts(robot, todo)
+
+
+def require_same_robot(directory: RunDirectory, robot: Mapping[str, Any]) -> None:
+    """Two robots in one dataset would be identified as one that does not exist."""
+    recorded = directory.start.get("robot", {})
+    pairs = {key: (recorded.get(key), robot[key]) for key in SAME_ROBOT}
+    was, now = recorded.get("identity", {}), robot["identity"]
+    pairs |= {key: (was.get(key), now[key]) for key in SAME_IDENTITY}
+    differs = [f"{key} was {old!r}, is {new!r}" for key, (old, new) in pairs.items() if old != new]
+    if differs:
+        raise PreflightFailed(
+            f"this is not the robot of {directory.path}: {'; '.join(differs)}",
+            hint="connect the robot that began the run, or run the experiment again on this one",
+        )
+
+
 def recorded_before(unfinished: Unfinished) -> Recorded:
     """Return a run whose measuring steps are all complete, as if its motion had just ended.
 
@@ -372,3 +384,112 @@ def recorded_before(unfinished: Unfinished) -> Recorded:
         directory.write_stop("completed", "", document, attempt=directory.attempts - 1)
     result = RunResult(Outcome.COMPLETED, "", None, steps, unsettled, samples, before.device_s, 0.0)
     return Recorded(directory, result, before.counts)
+
+
+FIRST_APPROACH = -2
+"""Index of the first motion back to the plan; the next ones count down. −1 is `no step`."""
+
+Way = Callable[[FloatArray, FloatArray], Sequence[Line]]
+"""Clear lines from one joint position (n,) to another; raises `PlanError` when there are none."""
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """Steps that belong together, the last of which measures, weighs or changes the load.
+
+    Attributes:
+        steps: In order.
+        closed: False for motions at the end of a load that lead to no measurement.
+    """
+
+    steps: tuple[Step, ...]
+    closed: bool = True
+
+    @property
+    def last(self) -> Step:
+        """The step it is about."""
+        return self.steps[-1]
+
+
+def legs_of(plan: Plan) -> list[Leg]:
+    """The legs of a plan, in order; together they are all its steps."""
+    legs: list[Leg] = []
+    open_steps: list[Step] = []
+    for step in plan:
+        if step.kind == "payload" and open_steps:
+            legs.append(Leg(tuple(open_steps), closed=False))
+            open_steps = []
+        open_steps.append(step)
+        if step.measures or step.kind in ("payload", "weigh"):
+            legs.append(Leg(tuple(open_steps)))
+            open_steps = []
+    return [*legs, Leg(tuple(open_steps), closed=False)] if open_steps else legs
+
+
+def remaining_steps(
+    plan: Plan, done: Collection[int], *, cold: bool, weigh_first: bool = False
+) -> list[Step]:
+    """The steps of a plan that are still to be executed, in order.
+
+    Args:
+        plan: All there was to do.
+        done: Measuring steps that are complete.
+        cold: Whether the arm has to be warmed up again.
+        weigh_first: Whether the first load has to be weighed again even if nothing is left to
+            measure with it: the others are weighed against it.
+
+    Returns:
+        Nothing when everything is done.
+    """
+    legs = legs_of(plan)
+    needed = {step.load for step in plan if step.measures and step.index not in done}
+    if needed and weigh_first:
+        needed.add(0)
+    warm_up = [step for step in plan if step.kind == "warmup"] if cold else []
+    out: list[Step] = []
+    for load in dict.fromkeys(step.load for step in plan):
+        if load not in needed:
+            continue
+        own = [leg for leg in legs if leg.closed and leg.last.load == load]
+        todo = [leg for leg in own if leg.last.measures and leg.last.index not in done]
+        before = [leg for leg in own if leg.last.kind in ("payload", "weigh")]
+        out += [step for leg in before for step in leg.steps]
+        if todo and not any(step.kind == "warmup" for step in todo[0].steps):
+            out += warm_up
+        warm_up = [] if todo else warm_up
+        out += [step for leg in todo for step in leg.steps]
+    return out
+
+
+def connected_steps(steps: Sequence[Step], here: FloatArray, way: Way) -> list[Step]:
+    """The steps with the motions between them that the plan did not foresee.
+
+    The first change of load happens where the arm stands; later ones where the plan has them.
+
+    Args:
+        steps: Of a plan, in order, some left out.
+        here: (n,) set-point the robot holds [rad].
+        way: Finds the way from one position to another.
+
+    Raises:
+        PlanError: There is no clear way.
+    """
+    return list(_connected(steps, here, way))
+
+
+def _connected(steps: Sequence[Step], here: FloatArray, way: Way) -> Iterator[Step]:
+    index = FIRST_APPROACH
+    for i, step in enumerate(steps):
+        target = _next_start(steps[i:]) if i or step.motion is not None else None
+        if target is not None and np.abs(target - here).max() >= STANDSTILL_RAD:
+            for k, line in enumerate(way(here, target)):
+                yield Step(index, "move", line, load=step.load, checkpoint=k == 0)
+                index -= 1
+            here = target
+        yield step
+        if step.motion is not None:
+            here = step.motion.q_end
+
+
+def _next_start(steps: Sequence[Step]) -> FloatArray | None:
+    return next((step.motion.q_start for step in steps if step.motion is not None), None)

@@ -7,26 +7,23 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from hil.core import AnyPath, HilError, SpecError, path_of, values_by_name
+from hil.core import AnyPath, HilError, SpecError, Tone, card, path_of, values_by_name
 from hil.engine import Observer, Observers, SignalWatch, StopSignal, nobody_goes_on
 from hil.estimators import models_below
-from hil.evaluation import verdict_word
+from hil.evaluation import VerdictWord, verdict_word
 from hil.planning import Experiment, require_experiment
 from hil.recording import RunDirectory
-from hil.workflow.confirmation import Confirm, Granted, Unconfirmed
-from hil.workflow.control_files import hold_attempt
-from hil.workflow.desk import Desk, console_desk
-from hil.workflow.run_report import RunReport
+from hil.workflow.operator import Confirm, Desk, Granted, Unconfirmed, console_desk
+from hil.workflow.remote_control import hold_attempt
 
 if TYPE_CHECKING:
     from hil.evaluation import Judged
     from hil.robot import Robot
-    from hil.workflow.attempt import Recorded
-    from hil.workflow.execute import Attendance
+    from hil.workflow.recording import Attendance, Recorded
 
 
 def run(
@@ -76,6 +73,30 @@ def run(
     )
 
 
+def _reasons(given: Mapping[str, str] | None) -> dict[str, str]:
+    """Why which check's failure is accepted; a waiver without a reason is none.
+
+    Raises:
+        SpecError: They are no reasons by check.
+    """
+    example = "{'disk': 'another disk comes on Monday'}"
+    waivers = values_by_name(given, "waivers", example)
+    for check, reason in waivers.items():
+        if not (isinstance(reason, str) and reason.strip()):
+            raise SpecError(
+                f"the waiver of {check!r} gives no reason", hint=f"for example: waivers={example}"
+            )
+    return {check: reason.strip() for check, reason in waivers.items()}
+
+
+def _confirming(desk: Desk | None, robot: str | None, operator: str) -> Desk:
+    """Return the desk; the motion counts as confirmed if the call names the robot."""
+    confirm: Confirm = Unconfirmed() if desk is None else desk.confirm
+    if robot is not None:
+        confirm = Granted("robot=", operator, {"robot": robot})
+    return replace(desk or console_desk(operator), confirm=confirm)
+
+
 def run_opened(
     experiment: Experiment,
     opened: Robot | None,
@@ -93,6 +114,78 @@ def run_opened(
         return record(experiment, runs=runs, attendance=attendance, opened=opened)
 
     return _attended(experiment, motion, operator, observers, waivers, desk)
+
+
+def _attended(
+    experiment: Experiment,
+    motion: Callable[[Attendance], Recorded],
+    operator: str,
+    observers: Sequence[Observer],
+    waivers: Mapping[str, str],
+    at: Desk,
+) -> RunReport:
+    """Motion, fit, verdict and report, with signals and observers looked after."""
+    from hil.engine import require_waivable
+    from hil.workflow.recording import Attendance
+
+    require_waivable(waivers)
+    watching = Observers(tuple(observers))
+    signals = SignalWatch(attended=at.go_on is not nobody_goes_on)
+    try:
+        with signals, contextlib.ExitStack() as until_judged:
+            try:
+                recorded = motion(
+                    Attendance(
+                        watching,
+                        signals,
+                        at.prompt,
+                        at.go_on,
+                        operator,
+                        waivers,
+                        at.wait_s,
+                        at.confirm,
+                        until_judged,
+                    )
+                )
+            except (Exception, StopSignal):
+                # A library that was interrupted may raise an error of its own instead.
+                if signals.seen:
+                    raise signals.stopped() from None
+                raise
+            from hil.workflow.judging import judge_and_study
+
+            judged: list[Judged] = []
+            error = judge_and_study(experiment, recorded, signals, watching, judged.append)
+            watching.publish({"kind": "stage", "stage": "writing the report"})
+            with signals.guard():
+                page, problem = _report(recorded.directory.path, judged)
+    finally:
+        watching.close()
+    return _told(recorded, page, error or problem)
+
+
+def _report(run: Path, judged: Sequence[Judged]) -> tuple[Path | None, HilError | None]:
+    from hil.report import render_report
+
+    try:
+        return render_report(run, judged), None
+    except HilError as error:
+        return None, error
+
+
+def _told(recorded: Recorded, page: Path | None, error: HilError | None) -> RunReport:
+    return RunReport(
+        run=recorded.directory.path,
+        uid=str(recorded.directory.start["uid"]),
+        outcome=str(recorded.result.outcome),
+        verdict=verdict_word(recorded.directory.path),
+        samples=recorded.counts["samples"],
+        gaps=recorded.counts["gaps"],
+        duplicates=recorded.counts["duplicates"],
+        models=tuple(models_below(recorded.directory.path)),
+        report=page,
+        error=error,
+    )
 
 
 def resume(
@@ -143,97 +236,64 @@ def resume(
         return _attended(unfinished.experiment, motion, operator, observers, accepted, asked)
 
 
-def _confirming(desk: Desk | None, robot: str | None, operator: str) -> Desk:
-    """Return the desk; the motion counts as confirmed if the call names the robot."""
-    confirm: Confirm = Unconfirmed() if desk is None else desk.confirm
-    if robot is not None:
-        confirm = Granted("robot=", operator, {"robot": robot})
-    return replace(desk or console_desk(operator), confirm=confirm)
+@dataclass(frozen=True, slots=True, eq=False)
+class RunReport:
+    """Result of an experiment.
 
-
-def _reasons(given: Mapping[str, str] | None) -> dict[str, str]:
-    """Why which check's failure is accepted; a waiver without a reason is none.
-
-    Raises:
-        SpecError: They are no reasons by check.
+    Attributes:
+        run: The run directory.
+        uid: Its identity.
+        outcome: `completed`, `stopped`, `tripped` or `failed`.
+        verdict: Of the models on held-out data; `not judged` when the run ended early or the
+            spec has no criteria.
+        samples, gaps, duplicates: Of the robot record, by device clock.
+        models: Folders of what was fitted, by name.
+        report: The HTML page, None if it could not be made.
+        error: What ended the run or the fit early.
     """
-    example = "{'disk': 'another disk comes on Monday'}"
-    waivers = values_by_name(given, "waivers", example)
-    for check, reason in waivers.items():
-        if not (isinstance(reason, str) and reason.strip()):
-            raise SpecError(
-                f"the waiver of {check!r} gives no reason", hint=f"for example: waivers={example}"
-            )
-    return {check: reason.strip() for check, reason in waivers.items()}
 
+    run: Path
+    uid: str
+    outcome: str
+    verdict: VerdictWord
+    samples: int
+    gaps: int
+    duplicates: int
+    models: tuple[Path, ...]
+    report: Path | None
+    error: HilError | None = None
 
-def _attended(
-    experiment: Experiment,
-    motion: Callable[[Attendance], Recorded],
-    operator: str,
-    observers: Sequence[Observer],
-    waivers: Mapping[str, str],
-    at: Desk,
-) -> RunReport:
-    """Motion, fit, verdict and report, with signals and observers looked after."""
-    from hil.engine import require_waivable
-    from hil.workflow.execute import Attendance
+    def __repr__(self) -> str:
+        return f"<RunReport {self.run}: {self.outcome}, {self.verdict}>"
 
-    require_waivable(waivers)
-    watching = Observers(tuple(observers))
-    signals = SignalWatch(attended=at.go_on is not nobody_goes_on)
-    try:
-        with signals, contextlib.ExitStack() as until_judged:
-            try:
-                recorded = motion(
-                    Attendance(
-                        watching,
-                        signals,
-                        at.prompt,
-                        at.go_on,
-                        operator,
-                        waivers,
-                        at.wait_s,
-                        at.confirm,
-                        until_judged,
-                    )
-                )
-            except (Exception, StopSignal):
-                # A library that was interrupted may raise an error of its own instead.
-                if signals.seen:
-                    raise signals.stopped() from None
-                raise
-            from hil.workflow.afterwards import judge_and_study
+    def _repr_html_(self) -> str:
+        """Return the card for a notebook."""
+        tones: dict[str, Tone] = {"passed": "pass", "rejected": "fail"}
+        facts = {
+            "outcome": self.outcome,
+            "samples": f"{self.samples:,}",
+            "gaps": self.gaps,
+            "duplicates": self.duplicates,
+            "models": ", ".join(folder.name for folder in self.models),
+            "report": self.report or "",
+        }
+        notes = [self.error.message] if self.error else []
+        badge = (self.verdict, tones.get(self.verdict, "warn"))
+        return card("Run", self.run, facts, badge=badge, notes=notes)
 
-            judged: list[Judged] = []
-            error = judge_and_study(experiment, recorded, signals, watching, judged.append)
-            watching.publish({"kind": "stage", "stage": "writing the report"})
-            with signals.guard():
-                page, problem = _report(recorded.directory.path, judged)
-    finally:
-        watching.close()
-    return _told(recorded, page, error or problem)
-
-
-def _told(recorded: Recorded, page: Path | None, error: HilError | None) -> RunReport:
-    return RunReport(
-        run=recorded.directory.path,
-        uid=str(recorded.directory.start["uid"]),
-        outcome=str(recorded.result.outcome),
-        verdict=verdict_word(recorded.directory.path),
-        samples=recorded.counts["samples"],
-        gaps=recorded.counts["gaps"],
-        duplicates=recorded.counts["duplicates"],
-        models=tuple(models_below(recorded.directory.path)),
-        report=page,
-        error=error,
-    )
-
-
-def _report(run: Path, judged: Sequence[Judged]) -> tuple[Path | None, HilError | None]:
-    from hil.report import render_report
-
-    try:
-        return render_report(run, judged), None
-    except HilError as error:
-        return None, error
+    def to_dict(self) -> dict[str, Any]:
+        """The contract of `hil run --json`."""
+        out: dict[str, Any] = {
+            "run": str(self.run),
+            "uid": self.uid,
+            "outcome": self.outcome,
+            "verdict": self.verdict,
+            "samples": self.samples,
+            "gaps": self.gaps,
+            "duplicates": self.duplicates,
+            "models": [str(folder) for folder in self.models],
+            "report": str(self.report) if self.report else None,
+        }
+        if self.error is not None:
+            out["error"] = {"kind": type(self.error).__name__, "message": self.error.message}
+        return out

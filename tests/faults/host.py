@@ -27,7 +27,7 @@ from hil.planning.plan import read_plan
 from hil.recording import recorder as recorder_module
 from hil.recording.mcap_writer import McapWriter
 from hil.workflow import recording, running
-from hil.workflow.desk import Desk
+from hil.workflow.operator import Desk
 
 STALL_S = 6.0
 CLOCK_JUMP_S = 3600.0

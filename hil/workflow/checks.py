@@ -1,0 +1,360 @@
+"""What is asked before planning: can the arm do it, will the driver take it, can it be judged?
+
+A run with poses out of reach, too few measurements for its fits, a criterion that cannot be
+applied, or an extra that is not installed would fail after hours. Nothing connects here.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from hil.arms import ArmDescription, is_described, load_arm
+from hil.core import (
+    HilError,
+    KeyPath,
+    Mark,
+    Named,
+    Problem,
+    Source,
+    SpecError,
+    missing,
+    read_source,
+    refuse,
+    require_installed,
+)
+from hil.dynamics import RobotModel, load_model
+from hil.estimators import HONEST, Needs, estimator, gains_fault, needs_of
+from hil.excitation import WaypointFile, beyond_range, outside, read_waypoints, ways_out
+from hil.planning import Experiment, declared_space, excesses, opened
+from hil.robot import Capabilities, Robot
+from hil.spec import Dwell, Excess, ExperimentSpec, Fourier, StationRobot, lay_over, misjudged
+from hil.studies import study
+
+POSES = ("excitation", "file")
+
+
+def require_within_reach(experiment: Experiment, robot: Capabilities) -> None:
+    """Raise if the arm cannot do what the spec asks, or if the run would give no result.
+
+    A commissioning run is neither fitted nor judged: only the limits of the arm are checked.
+
+    Args:
+        experiment: What is asked.
+        robot: What its driver says of itself; it need not be connected.
+
+    Raises:
+        SpecError: One line `file:line:column: path: message` per problem: a value beyond the
+            arm's limits; an invalid or out-of-range pose in a file; a fit, study or criterion
+            that lacks data, drive gains or models; a criterion in a unit that the robot does not
+            measure.
+        PluginError: An estimator or a study is missing.
+    """
+    spec, model = experiment.spec, experiment.robot.model
+    judged = experiment.commissioning is None
+    problems = misjudged(spec, robot.effort_kind) if judged else []
+    arm = load_arm(model) if is_described(model) else None
+    motions = getattr(spec.excitation, "trajectories", None)
+    ways: list[str] = []
+    if arm is not None:
+        clearance_m = experiment.robot.surroundings.clearance_m
+        problems += excesses(spec, arm, robot.rate_hz, clearance_m)
+    if isinstance(spec.excitation, Dwell):
+        poses, faults, ways = _poses(experiment, spec.excitation, robot.joint_names, arm)
+        problems += faults
+        motions = poses if not faults else None
+    if judged:
+        problems += unmet(spec, robot, experiment.robot, motions)
+    if not problems:
+        return
+    source = _source_of(experiment)
+    raise refuse(
+        [Problem(source.mark(one.path), one.path, one.message) for one in problems],
+        hint=", or ".join(["change these values", *ways, "take another robot"]),
+    )
+
+
+def _poses(
+    experiment: Experiment,
+    program: Dwell,
+    joint_names: tuple[str, ...],
+    arm: ArmDescription | None,
+) -> tuple[int, list[Excess], list[str]]:
+    """Return the number of poses of a program, the problems of its file, and what else helps."""
+    if program.file is None:
+        return program.waypoints, [], []
+    try:
+        file = read_waypoints(Path(program.file), joint_names, program.stated_unit)
+    except SpecError as error:
+        message = error.message.removeprefix("excitation.file: ")
+        return 0, [Excess(POSES, f"{message} → {error.hint}")], []
+    messages = list(file.problems)
+    ways: list[str] = []
+    if arm is not None:
+        beyond = _beyond_range(file, arm)
+        near, ways = ([], []) if beyond else _outside(file, arm, experiment)
+        messages += beyond + near
+    return len(file.q), [Excess(POSES, message) for message in messages], ways
+
+
+def _beyond_range(file: WaypointFile, arm: ArmDescription) -> list[str]:
+    complaints = [beyond_range(q, arm.joint_names, arm.q_min, arm.q_max) for q in file.q]
+    rows = [row for row, complaint in enumerate(complaints) if complaint]
+    if suspicion := file.suspected(len(rows)):
+        share = f"{len(rows)} of {len(file.q)} poses"
+        return [f"{share} are beyond the range of a joint: {suspicion}"]
+    return [f"{file.place(row)}: {complaints[row]}" for row in rows]
+
+
+def _outside(
+    file: WaypointFile, arm: ArmDescription, experiment: Experiment
+) -> tuple[list[str], list[str]]:
+    """Return the poses that are outside the workspace, and what helps beside other poses."""
+    spec, clearance_m = experiment.spec, experiment.robot.surroundings.clearance_m
+    space = declared_space(spec.interlocks, arm, [load.size_m for load in spec.loads])
+    if space is None:
+        return [], []
+    complaints = [outside(space, q, clearance_m) for q in file.q]
+    messages = [f"{file.place(row)}: {text}" for row, text in enumerate(complaints) if text]
+    return messages, ways_out(space, file.q, clearance_m)
+
+
+def _source_of(experiment: Experiment) -> Source:
+    """The file with its overrides, for the places in it; a spec without one is named."""
+    if experiment.spec_source:
+        try:
+            source = read_source(experiment.spec_source)
+            lay_over(source, experiment.overrides)
+        except SpecError:  # changed since it was loaded
+            pass
+        else:
+            return source
+    return Source(experiment.spec.name, values={(): Mark(experiment.spec.name, 0, 0)})
+
+
+MOST_LENGTHENED = 10_000
+"""Largest number of poses or trajectories that the search for a sufficient program tries."""
+
+CALIBRATED_LOADS = 3
+"""Minimum number of loads to calibrate drive gains: no load, one load to calibrate with, one load
+to judge."""
+
+GAINS_HINT = (
+    " → set drive_gain_nm_a in the arm description, or drive_gains_nm_a in the driver options if "
+    "the driver has it"
+)
+
+Entry = tuple[KeyPath, str, Any]
+"""Place of a name in the spec, the name, and the estimator or study of that name."""
+
+
+class Size(NamedTuple):
+    """How much a program measures.
+
+    Attributes:
+        spec: The experiment.
+        motions: Different poses or trajectories.
+        rate_hz: Of the recording.
+    """
+
+    spec: ExperimentSpec
+    motions: int
+    rate_hz: float
+
+    @property
+    def held(self) -> int:
+        """Return how many of the motions no fit sees."""
+        hold_out = self.spec.hold_out
+        if isinstance(self.spec.excitation, Fourier):
+            return hold_out.trajectories_of(self.motions)
+        return hold_out.poses_of(self.motions)
+
+    def amounts(self, *, after_hold_out: bool) -> dict[str, int]:
+        """Return what a fit or a study sees, by the words of `Needs.least`.
+
+        Args:
+            after_hold_out: As a fit, which does not see what is held out; a study sees it all.
+        """
+        motions, loads, program = self.motions, len(self.spec.loads), self.spec.excitation
+        if after_hold_out:
+            motions = max(0, motions - self.held)
+            loads -= len(set(self.spec.hold_out.loads))
+        if isinstance(program, Fourier):
+            rows = round(program.periods / program.fundamental_hz * self.rate_hz)
+            return {"trajectories": motions, "samples": motions * loads * rows}
+        dwells = motions * loads * (2 if program.approach == "both" else 1)
+        samples = dwells * program.samples_per_dwell
+        return {"poses": motions, "dwells": dwells, "samples": samples}
+
+
+def unmet(
+    spec: ExperimentSpec, robot: Capabilities, station_robot: StationRobot, motions: int | None
+) -> list[Excess]:
+    """Return the unmet needs of the fits, studies and criteria of a spec.
+
+    Plug-ins that state no needs are not refused.
+
+    Args:
+        spec: The experiment.
+        robot: Capabilities of its driver.
+        station_robot: The arm, and how it is mounted.
+        motions: Different poses or trajectories of the program; None if they are not known.
+    """
+    fits: list[Entry] = [
+        (("fit", i, "estimator"), one.estimator, estimator(one.estimator, **one.parameters))
+        for i, one in enumerate(spec.fit)
+    ]
+    studies: list[Entry] = [
+        (("study", i, "study"), one.study, study(one.study, **one.parameters))
+        for i, one in enumerate(spec.study)
+    ]
+    size = None if motions is None else Size(spec, motions, robot.rate_hz)
+    excesses = list(_criteria(spec, robot, [model for _, _, model in fits]))
+    if size is not None and (excess := _held_out(size)) is not None:
+        return [*excesses, excess]
+    if not (fits or studies):
+        return excesses
+    model = load_model(station_robot.model, gravity=station_robot.gravity_m_s2)
+    for one in (*fits, *studies):
+        excesses += _of_one(one, spec, robot, model, size)
+    return excesses
+
+
+def _criteria(spec: ExperimentSpec, robot: Capabilities, models: list[Any]) -> Iterator[Excess]:
+    """Yield the criteria that cannot be applied."""
+    of_models = [key for key in ("rmse", "nrmse") if getattr(spec.accept, key) is not None]
+    honest = any(getattr(model, "protocol", HONEST) == HONEST for model in models)
+    for key in of_models if not honest else ():
+        why = (
+            "no model of `fit` is judged: all of them follow the protocol of a paper"
+            if models
+            else "there is no model to judge: `fit` is empty"
+        )
+        yield Excess(("accept", key), why)
+    ratio = spec.accept.load_error_ratio
+    if ratio is None or ratio.told != "calibrated":
+        return
+    path: KeyPath = ("accept", "load_error_ratio", "told")
+    if robot.effort_kind != "current":
+        yield Excess(path, f"{spec.robot} measures torques, so no drive gains are calibrated")
+    elif len(spec.loads) < CALIBRATED_LOADS:
+        yield Excess(path, "`loads` needs a third load to calibrate the drive gains with")
+
+
+def _held_out(size: Size) -> Excess | None:
+    """Return the problem if the hold-out takes every pose of `excitation.file`; else None."""
+    if not size.spec.fit or size.held < max(1, size.motions):
+        return None
+    message = f"holds out all {size.motions} poses of excitation.file and leaves none to fit on"
+    return Excess(("validate", "hold_out"), message)
+
+
+def _of_one(
+    one: Entry,
+    spec: ExperimentSpec,
+    robot: Capabilities,
+    model: RobotModel,
+    size: Size | None,
+) -> Iterator[Excess]:
+    """Yield the unmet needs of an estimator or study."""
+    path, name, plug_in = one
+    loaded = any(not load.payload().is_empty for load in spec.loads)
+    try:
+        needs = needs_of(plug_in, model, loaded=loaded)
+    except HilError as error:
+        yield Excess(path, f"{error.message} → {error.hint}" if error.hint else error.message)
+        return
+    if needs.effort and needs.effort != robot.effort_kind:
+        measured = f"{spec.robot} measures a {robot.effort_kind}"
+        yield Excess(path, f"{name} needs a {needs.effort}, but {measured}")
+    elif needs.gains:
+        fault = gains_fault(robot.effort_kind, robot.drive_gains, robot.joint_names)
+        if fault is not None:
+            yield Excess(path, f"{name} needs torques: {fault[0]}{GAINS_HINT}")
+    fitted = path[0] == "fit"
+    if size is not None and (short := needs.shortages(size.amounts(after_hold_out=fitted))):
+        held = f" (held out: {size.held} of {size.motions})" if fitted and size.held else ""
+        enough = _enough(needs, size, after_hold_out=fitted)
+        yield Excess(path, f"{name}: {'; '.join(short)}{held}{enough}")
+
+
+def _enough(needs: Needs, size: Size, *, after_hold_out: bool) -> str:
+    """Return the shortest sufficient program as text; empty if none is found."""
+    program = size.spec.excitation
+    what = "excitation.trajectories" if isinstance(program, Fourier) else "excitation.waypoints"
+    if getattr(program, "file", None) is not None:
+        what = "poses in excitation.file"
+    for motions in range(size.motions + 1, MOST_LENGTHENED + 1):
+        longer = size._replace(motions=motions)
+        if not needs.shortages(longer.amounts(after_hold_out=after_hold_out)):
+            return f"; {what}: at least {motions}"
+    return ""
+
+
+def check_driver(experiment: Experiment) -> Capabilities:
+    """Construct the robot's driver, and nothing more: no connection, no motion.
+
+    Returns:
+        What the robot offers.
+
+    Raises:
+        SpecError, PluginError: See `checked_robot`.
+    """
+    with checked_robot(experiment) as robot:
+        return robot.capabilities
+
+
+@contextlib.contextmanager
+def checked_robot(experiment: Experiment) -> Iterator[Robot]:
+    """Open the robot, not connected, for a run whose arm can do what is asked; close it after it.
+
+    Raises:
+        SpecError: The driver refuses its options; the message names the station's file and robot.
+            Or the arm cannot do what the spec asks; the message names every place in its file.
+        PluginError: There is no such driver, or it does not load.
+    """
+    name = experiment.spec.robot
+    place = f"{experiment.station_source}: robots.{name}"
+    with contextlib.ExitStack() as until_closed:
+        try:
+            robot = until_closed.enter_context(opened(name, experiment.robot))
+            can = robot.capabilities
+        except SpecError as error:
+            raise SpecError(f"{place}: {error.message}", hint=error.hint) from error
+        except (TypeError, ValueError) as error:
+            # What Python itself says when a constructor is called with an option it does not have.
+            given = ", ".join(experiment.robot.options) or "none"
+            raise SpecError(
+                f"{place}: the driver {experiment.robot.driver!r} does not accept its options "
+                f"({given}): {error}",
+                hint="see the driver's documentation for its options",
+            ) from error
+        require_within_reach(experiment, can)
+        yield robot
+
+
+def require_extras(spec: ExperimentSpec) -> None:
+    """Refuse an experiment that could be measured here, but not evaluated.
+
+    Raises:
+        PluginError: An extra is missing; all are in the message.
+        SpecError: A fit or study has a parameter that it does not take any more.
+    """
+    require_installed(_made(spec))
+
+
+def _made(spec: ExperimentSpec) -> list[Named]:
+    return [
+        *(
+            (f"fit: {fit.estimator}", estimator(fit.estimator, **fit.parameters))
+            for fit in spec.fit
+        ),
+        *((f"study: {one.study}", study(one.study, **one.parameters)) for one in spec.study),
+    ]
+
+
+def missing_extras(spec: ExperimentSpec) -> list[str]:
+    """What `require_extras` would refuse, in words: another computer may have what is missing."""
+    return [f'{told} → pip install "hil[{extra}]"' for told, extra in missing(_made(spec))]

@@ -1,0 +1,560 @@
+"""Is the load mounted the load declared? Judged before anything is measured with it.
+
+The engine hands over what every dwell measured (`Engine(..., measured=weighing.measured)`). What a
+load adds to the torques of the first one at the same poses is compared with what the declared
+loads would make of them, so that friction and what is not known of the arm cancel. The verdict has
+figures for people and for the event log.
+
+A resumed run takes what its first load weighed from the recordings of earlier attempts. A weighing
+counts once its attempt went on past it: one that was refused, or given up, says nothing about the
+load that was measured with.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from hil.arms import Payload
+from hil.core import DataError, FloatArray, PreflightFailed, StructArray
+from hil.dynamics import Balance, load_model, static_columns, static_parameters
+from hil.importers import recorded_steps, step_is_complete
+from hil.planning import Plan, Step, is_sweep, why_plan_not_weighed
+from hil.robot import Capabilities, Status
+from hil.spec import Weigh
+
+if TYPE_CHECKING:
+    from hil.dynamics import RobotModel, Weighed
+
+
+CHECK = "weighing"
+"""Name of the check in preflight and of its waiver, and kind of its events."""
+
+HINT = (
+    "mount the load that is declared, the way round it is declared; correct `loads` in the spec; "
+    f'or run all the same: --waive "{CHECK}=REASON"'
+)
+
+AGAIN_HINT = (
+    "mount load 0 as it was when it was measured, and resume again; if it was another load then, "
+    f'run the experiment anew; or go on all the same: --waive "{CHECK}=REASON"'
+)
+"""For a first load that is not what it was in an earlier attempt."""
+
+
+class Tell(Protocol):
+    """Where results go; a sink's `event`."""
+
+    def __call__(self, kind: str, **details: Any) -> object:
+        """Record an event."""
+
+
+class Weighing:
+    """Weighs the loads of one run; says at once when it is not going to.
+
+    Args:
+        plan: Of the whole run.
+        gravity: (3,) in the base frame [m/s²].
+        robot: What its efforts are, and its drive gains.
+        tolerance: Of the spec; None when it switches weighing off.
+        event: Called with every result.
+        waived: Whether a load that is not as declared is recorded and nothing more.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        gravity: Sequence[float],
+        robot: Capabilities,
+        tolerance: Weigh | None,
+        *,
+        event: Tell,
+        waived: bool = False,
+    ) -> None:
+        self._plan = plan
+        self._tolerance = tolerance or Weigh()
+        self._event = event
+        self._waived = waived
+        self._gains = gains_of(robot)
+        self._readings: dict[int, Reading | str] = {}
+        self._before: LoadReading | str | None = None
+        self._steps: dict[int, list[Step]] = {}
+        for step in plan:
+            if step.kind == "weigh":
+                self._steps.setdefault(step.load, []).append(step)
+        self._not_weighed = why_plan_not_weighed(plan, robot)
+        if not self._not_weighed:
+            # Here and not when it is needed: the arm is about to be watched all the time.
+            self._model = load_model(plan.robot_model, gravity=gravity)
+        elif is_sweep(plan):
+            self._event(CHECK, result="skipped", reason=self._not_weighed)
+
+    def measured(self, step: Step, rows: StructArray) -> None:
+        """Take note of a dwell's settled rows; after the last one of a load, judge the load.
+
+        Raises:
+            PreflightFailed: The load is not the one declared, or nobody can say; not if waived.
+        """
+        if self._not_weighed or step.kind != "weigh":
+            return
+        self._read(step, rows)
+        if step.index == self._steps[step.load][-1].index:
+            self._judge(step.load)
+
+    def restore(self, readings: Mapping[int, Reading | str]) -> None:
+        """Take the first load's weighing from earlier attempts, for a run that is resumed.
+
+        Other loads are compared with it, and so is the first load when it is weighed again.
+
+        Args:
+            readings: Of `weighed_before`.
+        """
+        if self._not_weighed or not readings:
+            return
+        self._readings.update(readings)
+        self._before = self._together(0)
+
+    def _read(self, step: Step, rows: StructArray) -> None:
+        try:
+            settle_rad_s = self._plan.dwell_rule(step).settle_rad_s
+            reading = reading_of(rows, self._gains, settle_rad_s)
+        except DataError as error:
+            self._readings[step.index] = error.message
+        else:
+            self._readings[step.index] = reading
+
+    def _judge(self, load: int) -> None:
+        first, this = self._together(0), self._together(load)
+        if isinstance(first, str) or isinstance(this, str):
+            problem = this if isinstance(this, str) else f"the first load is missing: {first}"
+            self._refuse(load, f"load {load} could not be weighed: {problem}", {})
+        elif load:
+            self._compare(load, first, this)
+        elif isinstance(self._before, LoadReading):
+            self._compare(0, self._before, this)
+        else:
+            self._first(this)
+
+    def _first(self, this: LoadReading) -> None:
+        """The first load is taken on trust, and that is said if it should not have to be."""
+        if self._before is None:
+            self._event(CHECK, load=0, result="first", **friction_of(this))
+            return
+        problem = f"load 0: its weighing in an earlier attempt cannot be read ({self._before})"
+        problem += ", so nobody knows whether it is the load that was measured then"
+        self._event(CHECK, load=0, result="inconclusive", problem=problem, **friction_of(this))
+
+    def _compare(self, load: int, first: LoadReading, this: LoadReading) -> None:
+        """Judge what a load adds to the first one; to itself, that is nothing."""
+        loads = self._plan.loads[0].payload, self._plan.loads[load].payload
+        found = compare(self._model, self._steps[load], loads, (first, this))
+        masses = [each.payload.mass for each in self._plan.loads]
+        verdict = Verdict(found, self._tolerance, differs(masses, load), again=load == 0)
+        if verdict.passed:
+            self._pass(load, verdict)
+            return
+        told = f"load {load}: {verdict.text(self._plan.joint_names)}"
+        self._refuse(load, told, verdict.figures)
+
+    def _pass(self, load: int, verdict: Verdict) -> None:
+        """Nothing speaks against the load; whether anything would have is another matter."""
+        if verdict.conclusive:
+            self._event(CHECK, load=load, result="passed", **verdict.figures)
+            return
+        problem = f"load {load}: {verdict.doubt}"
+        self._event(CHECK, load=load, result="inconclusive", problem=problem, **verdict.figures)
+
+    def _together(self, load: int) -> LoadReading | str:
+        """The readings of a load, or why there are none."""
+        found: dict[tuple[int, int], Reading] = {}
+        for step in self._steps[load]:
+            reading = self._readings.get(step.index, "nothing was recorded")
+            if isinstance(reading, str):
+                side = "below" if step.approach > 0 else "above"
+                return f"at weighing pose {step.pose + 1} from {side}, {reading}"
+            found[step.pose, step.approach] = reading
+        return load_reading(found)
+
+    def _refuse(self, load: int, problem: str, figures: dict[str, Any]) -> None:
+        result = "waived" if self._waived else "failed"
+        self._event(CHECK, load=load, result=result, problem=problem, **figures)
+        if not self._waived:
+            compared = load == 0 and bool(figures)
+            raise PreflightFailed(f"{CHECK}: {problem}", hint=AGAIN_HINT if compared else HINT)
+
+
+FRICTION_LEFT = 0.05
+"""Share of half the difference between the two approaches by which their mean errs (standard
+deviation); measured on the mock, see docs/explanation/weighing.md."""
+
+CHANGE_LEFT = 0.5
+"""Share of what that half difference has changed by since the first load: friction that one side
+alone has lost or gained moves the mean as well, and the arm has become warmer."""
+
+LEAST_NM = 0.01
+"""Least standard deviation of a torque [N·m]: a simulation without noise has none."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reading:
+    """The settled samples of one dwell: mean `torque` (n,) [N·m], `variance` (n,) of that mean."""
+
+    torque: FloatArray
+    variance: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoadReading:
+    """One load at all poses, both approaches put together.
+
+    Attributes:
+        torque: (P, n) mean of the two approaches [N·m].
+        half_difference: (P, n) of the two approaches: friction [N·m].
+        variance: (n,) of `torque`: what friction leaves, and noise [N²·m²].
+    """
+
+    torque: FloatArray
+    half_difference: FloatArray
+    variance: FloatArray
+
+
+def gains_of(robot: Capabilities) -> FloatArray | float:
+    """What turns this robot's efforts into torques: (n,) drive gains [N·m/A], or 1."""
+    return np.array(robot.drive_gains) if robot.effort_kind == "current" else 1.0
+
+
+def reading_of(rows: StructArray, gains: FloatArray | float, settle_rad_s: float) -> Reading:
+    """What the settled rows of a dwell say; `gains` (n,) turns efforts into torques.
+
+    Raises:
+        DataError: They say nothing that could be relied on.
+    """
+    usable = rows[(rows["status"] & (Status.MASKED | Status.FAULT)) == 0]
+    effort: FloatArray = usable["effort"] * gains
+    if not len(usable) or not np.isfinite(effort).all():
+        raise DataError(
+            "the robot reported no usable effort",
+            hint="see whether the drives are on and their effort is recorded",
+        )
+    if np.abs(usable["qd"]).max() >= settle_rad_s:
+        raise DataError(
+            "the arm did not come to rest",
+            hint="see whether the arm is held, or its noise at rest too large to tell",
+        )
+    return Reading(effort.mean(axis=0), effort.var(axis=0) / len(usable))
+
+
+def load_reading(readings: Mapping[tuple[int, int], Reading]) -> LoadReading:
+    """The readings of one load by pose and approach (±1), put together."""
+    poses = sorted({pose for pose, _ in readings})
+    below, above = ([readings[pose, sign] for pose in poses] for sign in (1, -1))
+    up, down = (np.array([one.torque for one in side]) for side in (below, above))
+    noise = np.mean([one.variance for one in (*below, *above)], axis=0) / 2
+    half: FloatArray = (up - down) / 2
+    friction = np.mean((FRICTION_LEFT * half) ** 2, axis=0)
+    return LoadReading((up + down) / 2, half, friction + noise)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """A load as weighed, beside what was declared.
+
+    Attributes:
+        declared: The load.
+        first_kg: Declared mass of the first load, which it is weighed against.
+        weighed_kg: Its mass if its centre of mass is where it was declared to be.
+        deviation_kg: Standard deviation of that.
+        free_kg: Its mass wherever its centre is.
+        free_deviation_kg: Standard deviation of that.
+        shift_m: (3,) how far the centre of mass is from there, flange frame; NaN without a load.
+        shift_deviation_m: Standard deviation along `shift_m`.
+        declared_nm, found_nm: (P, n) torque beyond that of the first load.
+    """
+
+    declared: Payload
+    first_kg: float
+    weighed_kg: float
+    deviation_kg: float
+    free_kg: float
+    free_deviation_kg: float
+    shift_m: FloatArray
+    shift_deviation_m: float
+    declared_nm: FloatArray
+    found_nm: FloatArray
+
+    @property
+    def distance_m(self) -> float:
+        """Length of `shift_m`; 0 without a load, which has no centre of mass."""
+        return 0.0 if self.declared.is_empty else float(np.linalg.norm(self.shift_m))
+
+
+def compare(
+    model: RobotModel,
+    steps: Sequence[Step],
+    loads: tuple[Payload, Payload],
+    readings: tuple[LoadReading, LoadReading],
+) -> Comparison:
+    """Weigh a load against the first one.
+
+    Args:
+        model: The arm, mounted as it is.
+        steps: The weighing dwells of either load, in order.
+        loads: The first load and the one to be weighed, as declared.
+        readings: Of these.
+    """
+    first, load = loads
+    at = {step.pose: step.motion.q_end for step in steps if step.motion is not None}
+    columns = static_columns(model, np.array([at[pose] for pose in sorted(at)]))
+    declared = columns @ (static_parameters(load) - static_parameters(first))
+    found: FloatArray = readings[1].torque - readings[0].torque
+    deviation = _deviation(*readings)
+    # What turns out heavier than declared comes with the gain errors of what it is.
+    torque = np.where(np.abs(found) > np.abs(declared), found, declared)
+    seen: Weighed = Balance(columns, torque, deviation, load.com).weigh(found - declared)
+    per_kg = np.nan if load.is_empty else 1 / load.mass
+    return Comparison(
+        declared=load,
+        first_kg=first.mass,
+        weighed_kg=load.mass + seen.mass,
+        deviation_kg=seen.mass_deviation,
+        free_kg=load.mass + seen.free_mass,
+        free_deviation_kg=seen.free_mass_deviation,
+        shift_m=seen.moment * per_kg,
+        shift_deviation_m=seen.moment_deviation * per_kg,
+        declared_nm=declared,
+        found_nm=found,
+    )
+
+
+def _deviation(first: LoadReading, this: LoadReading) -> FloatArray:
+    """(P, n) standard deviation of the difference of two loads' torques, gains left out [N·m]."""
+    change = CHANGE_LEFT * (this.half_difference - first.half_difference)
+    variance = first.variance + this.variance + change**2
+    return np.asarray(np.sqrt(np.maximum(variance, LEAST_NM**2)))
+
+
+TELLING = 0.5
+"""Share of the difference between two loads that a limit must stay below to tell them apart."""
+
+SURE = 4.0
+"""In standard deviations: what is no further off than this may be the weighing's own error."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Verdict:
+    """A comparison and how far off it may be.
+
+    A weighing that is less certain than the tolerances ask for (a short reach, stiff joints) is
+    judged by its own certainty. Where there is no declared centre of mass, or the load's is
+    another, the mass that counts is the one that takes no notice of where that is.
+
+    Attributes:
+        found: The load as weighed.
+        tolerance: Of the spec.
+        differs_kg: By how much the load differs from what may hang there instead, see `differs`.
+        again: Whether it is the first load itself, against what it weighed in an earlier attempt.
+    """
+
+    found: Comparison
+    tolerance: Weigh
+    differs_kg: float
+    again: bool = False
+
+    @property
+    def weighed_kg(self) -> float:
+        """The mass that counts."""
+        return self.found.weighed_kg if self._centre_known else self.found.free_kg
+
+    @property
+    def deviation_kg(self) -> float:
+        """Standard deviation of `weighed_kg`."""
+        found = self.found
+        return found.deviation_kg if self._centre_known else found.free_deviation_kg
+
+    @property
+    def mass_limit_kg(self) -> float:
+        """How far off the mass may be."""
+        tolerance, found = self.tolerance, self.found
+        difference = abs(found.declared.mass - found.first_kg)
+        tolerated = tolerance.tolerance_kg + tolerance.tolerance_percent / 100 * difference
+        return max(tolerated, SURE * self.deviation_kg)
+
+    @property
+    def com_limit_m(self) -> float:
+        """How far off the centre of mass may be."""
+        sure = SURE * self.found.shift_deviation_m
+        return max(self.tolerance.tolerance_com_m, sure if np.isfinite(sure) else 0.0)
+
+    @property
+    def mass_passed(self) -> bool:
+        """Whether the mass is near enough to what was declared."""
+        return abs(self.weighed_kg - self.found.declared.mass) <= self.mass_limit_kg
+
+    @property
+    def com_passed(self) -> bool:
+        """Whether the centre of mass is near enough to where it was declared to be."""
+        return self.found.distance_m <= self.com_limit_m
+
+    @property
+    def passed(self) -> bool:
+        """Whether the load is the one declared."""
+        return self.mass_passed and self.com_passed
+
+    @property
+    def conclusive(self) -> bool:
+        """Whether the mass of another load would not have passed as well."""
+        return self.mass_limit_kg < TELLING * self.differs_kg
+
+    @property
+    def figures(self) -> dict[str, Any]:
+        """Plain numbers for the event log."""
+        found = self.found
+        out: dict[str, Any] = {
+            "declared_kg": found.declared.mass,
+            "weighed_kg": _plain(self.weighed_kg),
+            "deviation_kg": _plain(self.deviation_kg),
+            "limit_kg": _plain(self.mass_limit_kg),
+            "differs_kg": _plain(self.differs_kg),
+            "declared_nm": _plain(found.declared_nm),
+            "found_nm": _plain(found.found_nm),
+        }
+        if not found.declared.is_empty:
+            out |= {
+                "com_m": list(found.declared.com),
+                "shift_m": _plain(found.shift_m),
+                "shift_deviation_m": _plain(found.shift_deviation_m),
+                "shift_limit_m": _plain(self.com_limit_m),
+            }
+        return out
+
+    def text(self, joint_names: Sequence[str]) -> str:
+        """What is wrong, joint by joint."""
+        told = self._masses
+        if not self.com_passed:
+            told += f"; {self._centre()}"
+        return "\n".join([told, *_by_joint(self.found, joint_names)])
+
+    @property
+    def doubt(self) -> str:
+        """Why a load that passed may be another one all the same."""
+        apart = f"{self.differs_kg:.2f} kg"
+        return f"{self._masses}, which does not tell loads apart that differ by {apart}"
+
+    @property
+    def _masses(self) -> str:
+        found = self.found
+        earlier = " in an earlier attempt" if self.again else ""
+        return (
+            f"{found.declared.mass:.2f} kg declared, {self.weighed_kg:.2f} ± "
+            f"{self.deviation_kg:.2f} kg weighed against the {found.first_kg:.2f} kg of load 0"
+            f"{earlier} (limit ± {self.mass_limit_kg:.2f} kg)"
+        )
+
+    @property
+    def _centre_known(self) -> bool:
+        return self.com_passed and not self.found.declared.is_empty
+
+    def _centre(self) -> str:
+        found = self.found
+        seen = np.array(found.declared.com) + found.shift_m
+        return (
+            f"centre of mass at {_point(found.declared.com)} m declared, near {_point(seen)} m "
+            f"weighed: {1e3 * found.distance_m:.0f} ± {1e3 * found.shift_deviation_m:.0f} mm away "
+            f"(limit {1e3 * self.com_limit_m:.0f} mm)"
+        )
+
+
+def _plain(value: FloatArray | float) -> Any:
+    """JSON-ready, to a tenth of a gram and of a millinewton metre; None for what is unknown."""
+    if isinstance(value, np.ndarray):
+        return [_plain(item) for item in value]
+    return round(float(value), 4) if np.isfinite(value) else None
+
+
+def _by_joint(found: Comparison, joint_names: Sequence[str]) -> list[str]:
+    declared, weighed = (
+        [", ".join(f"{round(value, 1) + 0.0:.1f}" for value in column) for column in torque.T]
+        for torque in (found.declared_nm, found.found_nm)
+    )
+    lines = [
+        f"  {name}: {a} declared, {b} weighed;"
+        for name, a, b in zip(joint_names, declared, weighed, strict=True)
+    ]
+    return ["  torque it adds, pose by pose [N·m]:", *lines[:-1], lines[-1].rstrip(";")]
+
+
+def _point(at: Sequence[float] | FloatArray) -> str:
+    return f"({', '.join(f'{x:.3f}' for x in at)})"
+
+
+def differs(masses: Sequence[float], load: int) -> float:
+    """By how much [kg] a load differs from the first one, which may have been left on.
+
+    One that weighs the same as the first: from the load of another mass that is nearest.
+    """
+    own = masses[load]
+    others = [abs(own - other) for other in masses if other != own]
+    return abs(own - masses[0]) or min(others, default=0.0)
+
+
+def friction_of(first: LoadReading) -> dict[str, Any]:
+    """What the first load's weighing says beside being the first: friction, pose by pose."""
+    return {"half_difference_nm": _plain(first.half_difference)}
+
+
+Readings = dict[int, Reading | str]
+"""Weighing dwell → what it says, or why it says nothing."""
+
+
+def weighed_before(plan: Plan, recordings: Iterable[Path], robot: Capabilities) -> Readings:
+    """The first load's weighing dwells in the newest attempt whose weighing counts.
+
+    Args:
+        plan: Of the whole run.
+        recordings: `RunDirectory.recordings`.
+        robot: What its efforts are, and its drive gains.
+
+    Returns:
+        Nothing when no attempt went on past it, or nothing is weighed in this run. Reasons only
+        when none of those that did can be read.
+
+    Raises:
+        DataError: A recording is no MCAP file at all, or of a newer hil.
+    """
+    steps = {step.index: step for step in plan if step.kind == "weigh" and step.load == 0}
+    if why_plan_not_weighed(plan, robot):
+        return {}
+    past = {step.index for step in plan if step.measures or step.load}
+    found: Readings = {}
+    for rows, seen in recorded_steps(recordings, steps):
+        # An attempt under later loads alone had no need to weigh the first one.
+        if seen.isdisjoint(past) or (found and not rows):
+            continue
+        own = {index: _reading(plan, steps[index], rows, robot) for index in steps}
+        if is_whole(own) or not is_whole(found):
+            found = own
+    return found
+
+
+def _reading(
+    plan: Plan, step: Step, recorded: Mapping[int, StructArray], robot: Capabilities
+) -> Reading | str:
+    rows = recorded.get(step.index)
+    if rows is None:
+        return "nothing was recorded"
+    if not step_is_complete(step, rows, plan):
+        return "the recording is torn"
+    rule = plan.dwell_rule(step)
+    try:
+        return reading_of(rows[-rule.samples :], gains_of(robot), rule.settle_rad_s)
+    except DataError as error:
+        return error.message
+
+
+def is_whole(readings: Mapping[int, Reading | str]) -> bool:
+    """Whether there are readings and each of them can be relied on."""
+    return bool(readings) and not any(isinstance(one, str) for one in readings.values())
