@@ -358,7 +358,7 @@ def after_registry(folder: Path, again: list[str]) -> str:
 
 def after_schedule(folder: Path, again: list[str]) -> str:
     """Look after a step of a schedule that was killed; every other time its run is gone on with."""
-    from hil.maintenance.schedule.ledger import Ledger
+    from hil.maintenance.ledger import Ledger
     from hil.models.log import read_log
 
     told = "left to the schedule"

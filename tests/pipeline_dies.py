@@ -23,13 +23,11 @@ from typing import Any
 import numpy as np
 from pipeline_parts import SCHEDULE, occasion, write_schedule
 
-from hil.maintenance.pipeline.adapted import with_options
-from hil.maintenance.pipeline.bound import bind
-from hil.maintenance.pipeline.reidentify import reidentification
-from hil.maintenance.schedule.clocks import VirtualClock
-from hil.maintenance.schedule.ledger import kept
-from hil.maintenance.schedule.loop import Scheduler
-from hil.maintenance.schedule.occasion import Occasion
+from hil.maintenance.binding import bind
+from hil.maintenance.ledger import Occasion, kept
+from hil.maintenance.reidentifying import reidentification
+from hil.maintenance.scheduler import Scheduler, VirtualClock
+from hil.maintenance.simulation import with_options
 from hil.models.model_registry import Registry
 from hil.planning.experiment import Experiment
 from hil.spec.schedule import load_schedule_spec

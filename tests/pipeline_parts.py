@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from hil.maintenance.schedule.occasion import Job, Occasion
+from hil.maintenance.ledger import Job, Occasion
 
 FOURIER = {
     "kind": "fourier", "harmonics": 3, "fundamental_hz": 0.2,

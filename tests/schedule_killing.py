@@ -11,7 +11,7 @@ from pathlib import Path
 from schedule_parts import require_accounts
 from schedule_worker import SPEC, main
 
-from hil.maintenance.schedule.ledger import Ledger
+from hil.maintenance.ledger import Ledger
 
 WORKER = Path(main.__code__.co_filename)
 

@@ -11,11 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from hil.core.errors import FitError, RobotConnectionError, Stopped
-from hil.maintenance.schedule.clocks import VirtualClock
-from hil.maintenance.schedule.ledger import Ledger
-from hil.maintenance.schedule.loop import Scheduler
-from hil.maintenance.schedule.occasion import Occasion
-from hil.maintenance.schedule.times import occasions
+from hil.maintenance.due_times import occasions
+from hil.maintenance.ledger import Ledger, Occasion
+from hil.maintenance.scheduler import Scheduler, VirtualClock
 from hil.spec.schedule import ProbeJob, ScheduleSpec
 
 MONDAY = datetime(2026, 11, 23, tzinfo=UTC)

@@ -17,9 +17,8 @@ from typing import Any
 
 from schedule_parts import MONDAY, schedule
 
-from hil.maintenance.schedule.ledger import kept
-from hil.maintenance.schedule.loop import Scheduler
-from hil.maintenance.schedule.occasion import Occasion
+from hil.maintenance.ledger import Occasion, kept
+from hil.maintenance.scheduler import Scheduler
 
 QUICKER = 3000.0
 """The clock's minute takes 20 ms."""

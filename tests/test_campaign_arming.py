@@ -21,8 +21,8 @@ import hil.arms
 from hil.arms import description
 from hil.cli.app import app
 from hil.core.errors import NotConfirmed, SpecError, exit_code_of
-from hil.maintenance.pipeline import measuring
-from hil.maintenance.pipeline.bound import bind_file
+from hil.maintenance import reidentifying
+from hil.maintenance.binding import bind_file
 from hil.planning.experiment import Experiment
 from hil.planning.experiment import load as load_experiment
 from hil.planning.robots import opened
@@ -341,12 +341,12 @@ def test_a_disarmed_schedule_does_not_go_on_with_a_run_that_was_cut_off(
     bound = bind_file(folder / "weekly.yaml")
     confirm = require_armed(bound.moves(folder / "weekly.yaml"), state)
     assert confirm is not None
-    monkeypatch.setattr(measuring, "run_of", lambda *told: folder / "cut-off")
-    monkeypatch.setattr(measuring, "_is_done", lambda run: False)
-    monkeypatch.setattr(measuring, "_require_harmless", lambda run: None)
+    monkeypatch.setattr(reidentifying, "run_of", lambda *told: folder / "cut-off")
+    monkeypatch.setattr(reidentifying, "_is_done", lambda run: False)
+    monkeypatch.setattr(reidentifying, "_require_harmless", lambda run: None)
     (state / ARMED_FILE).unlink()
     with pytest.raises(NotConfirmed, match="is not armed"):
-        measuring.Measuring(folder / "runs", confirm=confirm).measure(bound.campaign, "weekly")
+        reidentifying.Measuring(folder / "runs", confirm=confirm).measure(bound.campaign, "weekly")
 
 
 @pytest.mark.parametrize("changed", ["probe", "campaign"])

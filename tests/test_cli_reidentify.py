@@ -15,9 +15,8 @@ from typer.testing import CliRunner
 import hil
 from hil.cli.app import app
 from hil.core.errors import DataError, SpecError
-from hil.maintenance.pipeline.stages import Stage, run_stages
-from hil.maintenance.schedule.ledger import kept
-from hil.maintenance.schedule.occasion import Occasion
+from hil.maintenance.ledger import Occasion, kept
+from hil.maintenance.stages import Stage, run_stages
 
 
 @pytest.mark.quick
@@ -66,7 +65,7 @@ def test_what_was_cut_off_too_long_ago_is_begun_anew(
             "name": "ur5", "text": "", "errors": None, "runs": {}
         }  # fmt: skip
 
-    monkeypatch.setattr("hil.maintenance.pipeline.by_hand.reidentification", work)
+    monkeypatch.setattr("hil.maintenance.reidentifying.reidentification", work)
     file = write_schedule(tmp_path)
     told = CliRunner().invoke(app, ["reidentify", str(file), "--state", str(tmp_path / "state")])
     assert told.exit_code == 0, told.output
@@ -86,9 +85,9 @@ def test_what_is_asked_again_within_a_second_is_done_again(
 
         return do
 
-    monkeypatch.setattr("hil.maintenance.pipeline.by_hand.reidentification", work)
+    monkeypatch.setattr("hil.maintenance.reidentifying.reidentification", work)
     monkeypatch.setattr(
-        "hil.maintenance.pipeline.by_hand.datetime", SimpleNamespace(now=lambda zone: now)
+        "hil.maintenance.reidentifying.datetime", SimpleNamespace(now=lambda zone: now)
     )
     file = write_schedule(tmp_path)
     monkeypatch.chdir(tmp_path)

@@ -20,13 +20,12 @@ import pytest
 from schedule_parts import at
 from typer.testing import CliRunner
 
-import hil.maintenance.pipeline.reidentify
+import hil.maintenance.reidentifying
 import hil.workflow.preview
 from hil.cli.app import app
 from hil.core.errors import FitError, HilError, InterlockTripped
-from hil.maintenance.schedule.ledger import Ledger, kept
-from hil.maintenance.schedule.motions import motions
-from hil.maintenance.schedule.occasion import Occasion
+from hil.maintenance.dry_run import motions
+from hil.maintenance.ledger import Ledger, Occasion, kept
 from hil.planning.experiment import Experiment
 from hil.planning.experiment import load as load_experiment
 from hil.spec.schedule import load_schedule_spec
@@ -62,7 +61,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         return None, SimpleNamespace(duration_s=PLANNED_S[experiment.spec.name])
 
     # Planning takes seconds; that it is what `hil plan` says has a test of its own.
-    monkeypatch.setattr(hil.maintenance.schedule.motions, "preview_experiment", planned)
+    monkeypatch.setattr(hil.maintenance.dry_run, "preview_experiment", planned)
     write("probe.yaml", FOURIER.format(name="probe", count=2, seed=3))
     write("campaign.yaml", FOURIER.format(name="campaign", count=2, seed=4) + FIT)
     write("nightly.yaml", SCHEDULE.format(every="1d"))
@@ -89,9 +88,7 @@ def working(monkeypatch: pytest.MonkeyPatch, error: HilError | None = None) -> l
             raise error
         return {"outcome": "quiet", "text": "nothing has changed"}
 
-    monkeypatch.setattr(
-        hil.maintenance.pipeline.reidentify, "reidentification", lambda *a, **k: work
-    )
+    monkeypatch.setattr(hil.maintenance.reidentifying, "reidentification", lambda *a, **k: work)
     return done
 
 
@@ -328,7 +325,7 @@ def test_motions_are_those_of_the_plans(monkeypatch: pytest.MonkeyPatch) -> None
         seconds.append(plan[1].duration_s)
         return plan
 
-    monkeypatch.setattr(hil.maintenance.schedule.motions, "preview_experiment", planned)
+    monkeypatch.setattr(hil.maintenance.dry_run, "preview_experiment", planned)
     took = motions(load_schedule_spec("nightly.yaml"), None, load_experiment(Path("campaign.yaml")))
     assert took.probe == timedelta()
     assert [took.campaign.total_seconds()] == [round(each) for each in seconds]

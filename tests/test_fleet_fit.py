@@ -24,7 +24,7 @@ from hil.cli.app import app
 from hil.core.errors import DataError, FitError
 from hil.core.executor import one_thread
 from hil.data.dataset import Dataset
-from hil.maintenance.fleet.members import experiment_for, spec_for
+from hil.maintenance.fleet import experiment_for, spec_for
 from hil.models import fleet_fit_task as fit_task
 from hil.models import fleet_fitting as fitting
 from hil.models.drift.history import identity

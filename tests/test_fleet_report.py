@@ -17,8 +17,7 @@ from typer.testing import CliRunner
 from hil.cli.app import app
 from hil.core.errors import DataError
 from hil.core.executor import one_thread
-from hil.maintenance.fleet.members import experiment_for, spec_for
-from hil.maintenance.fleet.probing import probe_fleet
+from hil.maintenance.fleet import experiment_for, probe_fleet, spec_for
 from hil.models.drift.features import Features, feature_names
 from hil.models.drift.history import Probe
 from hil.models.fleet_fit_task import FitResult

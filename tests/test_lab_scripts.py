@@ -20,7 +20,7 @@ from typer.testing import CliRunner, Result
 
 import hil
 from hil.core import errors
-from hil.maintenance.schedule.ledger import kept
+from hil.maintenance.ledger import kept
 
 ROOT = Path(__file__).parents[1]
 SCRIPTS = ROOT / "experiments" / "scripts"

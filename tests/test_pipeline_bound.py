@@ -14,8 +14,8 @@ from hil.cli.app import app
 from hil.core import plugins
 from hil.core.errors import SpecError
 from hil.estimators.base import estimator
-from hil.maintenance.pipeline.adapted import with_options
-from hil.maintenance.pipeline.bound import Bound, bind
+from hil.maintenance.binding import Bound, bind
+from hil.maintenance.simulation import with_options
 from hil.spec.load import load_station
 from hil.spec.schedule import load_schedule_spec
 

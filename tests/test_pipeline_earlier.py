@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.maintenance.pipeline import earlier
-from hil.maintenance.pipeline.earlier import MOST, earlier_probes
+from hil.maintenance import reidentifying
+from hil.maintenance.reidentifying import MOST, earlier_probes
 from hil.models.drift.features import Features
 from hil.models.drift.history import Probe
 from hil.models.model_registry import Registry
@@ -33,7 +33,7 @@ def days(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[
     """The days that are looked at, given the history; today is the 28th."""
 
     def found(*probes: Probe) -> list[str]:
-        monkeypatch.setattr(earlier, "probes_of", lambda registry, name: list(probes))
+        monkeypatch.setattr(reidentifying, "probes_of", lambda registry, name: list(probes))
         registry = Registry(tmp_path)
         return [path.stem for path in earlier_probes(registry, "ur5", tmp_path / "28.mcap")]
 

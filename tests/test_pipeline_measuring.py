@@ -14,8 +14,8 @@ from synthetic_motion import moving, nominal
 
 from hil.core.errors import PreflightFailed, RobotError
 from hil.estimators import estimator
-from hil.maintenance.pipeline.adapted import with_options
-from hil.maintenance.pipeline.measuring import Measuring, run_of
+from hil.maintenance.reidentifying import Measuring, run_of
+from hil.maintenance.simulation import with_options
 from hil.models.facts import facts_of
 from hil.planning.experiment import Experiment
 from hil.planning.experiment import load as load_experiment

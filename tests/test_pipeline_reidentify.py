@@ -15,12 +15,11 @@ import pytest
 from pipeline_parts import CAMPAIGN, PROBE, occasion, write_schedule
 
 from hil.core.errors import FitError, HilError
-from hil.maintenance.pipeline.adapted import with_options
-from hil.maintenance.pipeline.bound import bind
-from hil.maintenance.pipeline.measuring import Measuring
-from hil.maintenance.pipeline.reidentify import Reidentification, as_it_is, reidentification
-from hil.maintenance.pipeline.stages import FOLDER
-from hil.maintenance.schedule.occasion import Job
+from hil.maintenance.binding import bind
+from hil.maintenance.ledger import Job
+from hil.maintenance.reidentifying import Measuring, Reidentification, as_it_is, reidentification
+from hil.maintenance.simulation import with_options
+from hil.maintenance.stages import FOLDER
 from hil.models.drift.bands import banded
 from hil.models.model_registry import Registry
 from hil.planning.experiment import Experiment
@@ -125,7 +124,7 @@ def _judged(monkeypatch: pytest.MonkeyPatch, *, changed: bool) -> None:
         def to_dict(self) -> dict[str, Any]:
             return {"changed": changed, "text": "friction up on J2", "causes": [], "features": {}}
 
-    monkeypatch.setattr("hil.maintenance.pipeline.due.assess", lambda *given, **named: Judged())
+    monkeypatch.setattr("hil.maintenance.reidentifying.assess", lambda *given, **named: Judged())
 
 
 def events(robot: Robot) -> list[tuple[str, int]]:

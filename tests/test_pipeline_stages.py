@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from hil.core.errors import DataError, RecordingError
-from hil.maintenance.pipeline.stages import FOLDER, Document, Stage, kept_document, run_stages
+from hil.maintenance.stages import FOLDER, Document, Stage, kept_document, run_stages
 
 pytestmark = pytest.mark.quick
 

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from pipeline_parts import SCHEDULE
 
-from hil.maintenance.pipeline.simulation import simulate
+from hil.maintenance.simulation import simulate
 from hil.spec.schedule import load_schedule_spec
 
 pytestmark = [pytest.mark.proof, pytest.mark.timeout(1200)]

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from hil.maintenance.pipeline.simulation import simulate
+from hil.maintenance.simulation import simulate
 from hil.report.simulation_found import found
 from hil.report.simulation_page import render_simulation
 from hil.spec.schedule import ScheduleSpec, load_schedule_spec

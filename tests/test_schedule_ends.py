@@ -13,10 +13,9 @@ from pipeline_parts import PROBE, write_schedule
 from schedule_parts import at, events, schedule, scheduler
 
 from hil.core.errors import Stopped
-from hil.maintenance.pipeline.measuring import Measuring
-from hil.maintenance.schedule.ledger import Ledger
-from hil.maintenance.schedule.loop import Scheduler
-from hil.maintenance.schedule.occasion import Occasion
+from hil.maintenance.ledger import Ledger, Occasion
+from hil.maintenance.reidentifying import Measuring
+from hil.maintenance.scheduler import Scheduler
 from hil.planning.experiment import load as load_experiment
 
 MON = "20261123T030000Z-probe"

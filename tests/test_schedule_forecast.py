@@ -10,9 +10,8 @@ from typing import Any
 import pytest
 from schedule_parts import at, schedule
 
-from hil.maintenance.schedule.forecast import Expected, forecast
-from hil.maintenance.schedule.ledger import Ledger
-from hil.maintenance.schedule.motions import Motions
+from hil.maintenance.dry_run import Expected, Motions, forecast
+from hil.maintenance.ledger import Ledger
 
 NOW = at("23 03:00") + timedelta(seconds=20)
 MOTIONS = Motions(probe=timedelta(seconds=50), campaign=timedelta(seconds=200))

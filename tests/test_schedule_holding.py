@@ -18,10 +18,8 @@ from hil.core.errors import (
     StaleState,
     Stopped,
 )
-from hil.maintenance.schedule.forecast import forecast
-from hil.maintenance.schedule.holding import hold, release
-from hil.maintenance.schedule.ledger import LEDGER_FILE, Ledger, kept
-from hil.maintenance.schedule.motions import Motions
+from hil.maintenance.dry_run import Motions, forecast
+from hil.maintenance.ledger import LEDGER_FILE, Ledger, hold, kept, release
 
 MON, TUE, WED = (f"202611{day}T030000Z-probe" for day in (23, 24, 25))
 HOURLY = {"spec": "p", "every": "1h"}

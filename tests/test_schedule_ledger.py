@@ -10,8 +10,7 @@ import pytest
 from schedule_parts import MONDAY, at
 
 from hil.core.errors import DataError, RecordingError
-from hil.maintenance.schedule.ledger import LEDGER_FILE, Ledger, kept, occasion_of
-from hil.maintenance.schedule.occasion import Occasion
+from hil.maintenance.ledger import LEDGER_FILE, Ledger, Occasion, kept, occasion_of
 
 pytestmark = pytest.mark.quick
 

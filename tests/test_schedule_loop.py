@@ -24,8 +24,8 @@ from schedule_parts import (
 )
 
 from hil.core.errors import FitError, RobotConnectionError, Stopped
-from hil.maintenance.schedule.ledger import Ledger, kept
-from hil.maintenance.schedule.loop import Interruption
+from hil.maintenance.ledger import Ledger, kept
+from hil.maintenance.scheduler import Interruption
 
 pytestmark = pytest.mark.quick
 

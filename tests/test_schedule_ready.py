@@ -15,9 +15,7 @@ import numpy as np
 import pytest
 
 from hil.core.errors import RobotConnectionError, RobotFault, Stopped
-from hil.maintenance.schedule.curfew import curfew
-from hil.maintenance.schedule.loop import Interruption
-from hil.maintenance.schedule.preconditions import RobotReady
+from hil.maintenance.scheduler import Interruption, RobotReady, curfew
 from hil.planning import robots
 from hil.planning.experiment import load as load_experiment
 from hil.robot import Finding, Status, state_dtype

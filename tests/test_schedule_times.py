@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from schedule_parts import HOUR, MINUTE, MONDAY, at, never_due, schedule
 
-from hil.maintenance.schedule import times
-from hil.maintenance.schedule.times import moment_of, next_free, occasions, window_in
+from hil.maintenance import due_times
+from hil.maintenance.due_times import moment_of, next_free, occasions, window_in
 
 BERLIN = ZoneInfo("Europe/Berlin")
 ZONES = ("Europe/Berlin", "America/New_York", "Australia/Lord_Howe", "Asia/Kolkata", "UTC")
@@ -115,8 +115,8 @@ def test_looking_again_in_between_finds_the_same() -> None:
 
 
 def test_a_dense_calendar_is_walked_no_further_than_needed(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked, moment = [], times.moment_of
-    monkeypatch.setattr(times, "moment_of", lambda *a, **k: asked.append(a) or moment(*a, **k))
+    asked, moment = [], due_times.moment_of
+    monkeypatch.setattr(due_times, "moment_of", lambda *a, **k: asked.append(a) or moment(*a, **k))
     spec = schedule(probe={"spec": "p", "cron": "* * * * *"}, timezone="Asia/Tokyo")
     for minutes in range(60):
         now = MONDAY + minutes * MINUTE

@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from hil.core.errors import RecordingError, SpecError
-from hil.maintenance.schedule.notify import Command
-from hil.maintenance.schedule.systemd import next_words, units_of, write_units
+from hil.maintenance.scheduler import Command
+from hil.maintenance.systemd import next_words, units_of, write_units
 
 pytestmark = pytest.mark.quick
 

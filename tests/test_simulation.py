@@ -14,9 +14,8 @@ from typer.testing import CliRunner
 
 from hil.cli.app import app
 from hil.core.errors import SpecError
-from hil.maintenance.pipeline.simulation import STAGES, conditions, noise_day
-from hil.maintenance.schedule.ledger import Ledger
-from hil.maintenance.schedule.occasion import Occasion
+from hil.maintenance.ledger import Ledger, Occasion
+from hil.maintenance.simulation import STAGES, conditions, noise_day
 from hil.models.model_registry import Registry
 from hil.report.simulation_page import simulation_page
 from hil.spec.schedule import ScheduleSpec, load_schedule_spec

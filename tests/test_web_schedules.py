@@ -19,7 +19,7 @@ from web_parts import SLY, dashboard, plain, seen
 from hil.core.errors import FitError
 from hil.dashboard.schedules_known import coming
 from hil.dashboard.settings import Settings
-from hil.maintenance.schedule.ledger import LEDGER_FILE, Ledger, kept
+from hil.maintenance.ledger import LEDGER_FILE, Ledger, kept
 from hil.spec.schedule import load_schedule_spec
 
 # Nights to come, whatever day it is: none of the three that are over was kept from its probe.

@@ -21,7 +21,6 @@ from hil.estimators import write_whole
 
 Document = dict[str, Any]
 Do = Callable[[Mapping[str, Document]], Mapping[str, Any]]
-
 FOLDER = "stages"
 FORMAT = 1
 
@@ -74,12 +73,6 @@ def run_stages(stages: Sequence[Stage], folder: Path) -> dict[str, Document]:
     return done
 
 
-def kept_document(folder: Path, name: str) -> Document | None:
-    """What came of a stage, whatever it was made from; None if it was not done."""
-    told = _read(folder / FOLDER / f"{name}.json")
-    return told and told["document"]
-
-
 def _ordered(stages: Sequence[Stage]) -> list[Stage]:
     named = {stage.name: stage for stage in stages}
     if len(named) != len(stages):
@@ -100,6 +93,16 @@ def _key(stage: Stage, marks: Mapping[str, str]) -> str:
     return _digest([stage.name, _contents(stage.inputs), needed])
 
 
+def _digest(value: Any) -> str:
+    text = json.dumps(_plain(value), sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _plain(value: Any) -> Any:
+    """As it reads back from the disk: the first time is like any other."""
+    return json.loads(json_line(value))
+
+
 def _contents(value: Any) -> Any:
     if isinstance(value, Path):
         return {"sha256": sha256_of(value)}
@@ -110,14 +113,20 @@ def _contents(value: Any) -> Any:
     return value
 
 
-def _digest(value: Any) -> str:
-    text = json.dumps(_plain(value), sort_keys=True, separators=(",", ":"))
-    return hashlib.sha256(text.encode()).hexdigest()
+def _kept(path: Path, key: str) -> Document | None:
+    told = _read(path)
+    return told["document"] if told and told.get("inputs_sha256") == key else None
 
 
-def _plain(value: Any) -> Any:
-    """As it reads back from the disk: the first time is like any other."""
-    return json.loads(json_line(value))
+def _read(path: Path) -> Document | None:
+    """A whole stage file; None where there is none, or a damaged one."""
+    try:
+        told = json.loads(path.read_bytes())
+        document = told["document"]
+        whole = told["hil_stage"] == FORMAT and told["document_sha256"] == _digest(document)
+    except (OSError, ValueError, TypeError, KeyError, RecursionError):
+        return None
+    return told if whole and isinstance(document, dict) else None
 
 
 def _keep(path: Path, name: str, key: str, document: Document) -> None:
@@ -135,17 +144,7 @@ def _keep(path: Path, name: str, key: str, document: Document) -> None:
         ) from error
 
 
-def _kept(path: Path, key: str) -> Document | None:
-    told = _read(path)
-    return told["document"] if told and told.get("inputs_sha256") == key else None
-
-
-def _read(path: Path) -> Document | None:
-    """A whole stage file; None where there is none, or a damaged one."""
-    try:
-        told = json.loads(path.read_bytes())
-        document = told["document"]
-        whole = told["hil_stage"] == FORMAT and told["document_sha256"] == _digest(document)
-    except (OSError, ValueError, TypeError, KeyError, RecursionError):
-        return None
-    return told if whole and isinstance(document, dict) else None
+def kept_document(folder: Path, name: str) -> Document | None:
+    """What came of a stage, whatever it was made from; None if it was not done."""
+    told = _read(folder / FOLDER / f"{name}.json")
+    return told and told["document"]

@@ -12,7 +12,7 @@ real robot, but for the room, the wear and the noise, which are other ones on ev
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -22,16 +22,12 @@ import numpy as np
 from hil.core import FloatArray, SpecError, json_document, write_replacing
 from hil.evaluation import usable_part
 from hil.importers import load_source
-from hil.maintenance.pipeline.adapted import with_options
-from hil.maintenance.pipeline.bound import Bound, bind
-from hil.maintenance.pipeline.measuring import run_of
-from hil.maintenance.pipeline.reidentify import reidentification
-from hil.maintenance.schedule.clocks import VirtualClock
-from hil.maintenance.schedule.ledger import kept, occasion_of
-from hil.maintenance.schedule.loop import Line, Scheduler
-from hil.maintenance.schedule.motions import Motions, motions, require_room
-from hil.maintenance.schedule.occasion import Occasion, Work
-from hil.maintenance.schedule.times import begin_of
+from hil.maintenance.binding import Bound, bind
+from hil.maintenance.dry_run import Motions, motions, require_room
+from hil.maintenance.due_times import begin_of
+from hil.maintenance.ledger import Occasion, Work, kept, occasion_of
+from hil.maintenance.reidentifying import reidentification, run_of
+from hil.maintenance.scheduler import Line, Scheduler, VirtualClock
 from hil.models import Registry, friction_change
 from hil.planning import Experiment, opened
 from hil.spec import ScheduleSpec
@@ -80,14 +76,14 @@ def conditions(spec: ScheduleSpec, begin: datetime, occasion: Occasion) -> Condi
     return Conditions(since.days, room, come[-1] if come else ())
 
 
+def _dice(spec: ScheduleSpec, since: timedelta, *more: int) -> np.random.Generator:
+    return np.random.default_rng([spec.simulate.seed, int(since.total_seconds()), *more])
+
+
 def noise_day(spec: ScheduleSpec, begin: datetime, occasion: Occasion, stage: str) -> int:
     """Of the mock's option `day`: one of its own for every run, however many a day has."""
     dice = _dice(spec, occasion.due - begin, 1 + STAGES.index(stage))
     return int(dice.integers(DAYS))
-
-
-def _dice(spec: ScheduleSpec, since: timedelta, *more: int) -> np.random.Generator:
-    return np.random.default_rng([spec.simulate.seed, int(since.total_seconds()), *more])
 
 
 def simulate(
@@ -135,29 +131,6 @@ def simulate(
     document["warmth"] = _warmth(folder, bound.name, document["occasions"])
     write_replacing(folder / DOCUMENT, json_document(document))
     return document
-
-
-def require_mock(bound: Bound) -> None:
-    """Refuse to play with time on anything but the embedded mock, under conditions it can meet.
-
-    Raises:
-        SpecError: A robot is another one, or does not know such conditions.
-    """
-    for experiment in bound.experiments:
-        robot, name = experiment.robot, experiment.spec.robot
-        if robot.driver != "mock" or robot.options.get("clock", "virtual") != "virtual":
-            clock = " in wall time" if robot.driver == "mock" else ""
-            raise SpecError(
-                f"{name} ({experiment.station_source}) has the driver {robot.driver}{clock}: only "
-                "the embedded mock lives through weeks at once",
-                hint="name another station with --station",
-            )
-    simulated = bound.spec.simulate
-    for room in simulated.room_c:
-        for wear in ((), *(each.factors for each in simulated.wear)):
-            met = Conditions(0, room, wear)
-            with opened(bound.campaign.spec.robot, with_options(bound.campaign, met.options).robot):
-                pass
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,3 +238,45 @@ def _temperatures(run: Path) -> FloatArray | None:
     """(N, n) of the joints; None where they were not recorded."""
     data = load_source(run)
     return data["temperature"] if "temperature" in data.columns else None
+
+
+def require_mock(bound: Bound) -> None:
+    """Refuse to play with time on anything but the embedded mock, under conditions it can meet.
+
+    Raises:
+        SpecError: A robot is another one, or does not know such conditions.
+    """
+    for experiment in bound.experiments:
+        robot, name = experiment.robot, experiment.spec.robot
+        if robot.driver != "mock" or robot.options.get("clock", "virtual") != "virtual":
+            clock = " in wall time" if robot.driver == "mock" else ""
+            raise SpecError(
+                f"{name} ({experiment.station_source}) has the driver {robot.driver}{clock}: only "
+                "the embedded mock lives through weeks at once",
+                hint="name another station with --station",
+            )
+    simulated = bound.spec.simulate
+    for room in simulated.room_c:
+        for wear in ((), *(each.factors for each in simulated.wear)):
+            met = Conditions(0, room, wear)
+            with opened(bound.campaign.spec.robot, with_options(bound.campaign, met.options).robot):
+                pass
+
+
+def with_options(experiment: Experiment, options: Mapping[str, Any]) -> Experiment:
+    """The same experiment with some of its robot's driver options changed.
+
+    The station that is copied into the run directory says so, too: whoever goes on with the run
+    has the same robot.
+
+    Args:
+        experiment: From `hil.planning.load`.
+        options: Laid over those of the station.
+    """
+    name = experiment.spec.robot
+    robot = experiment.robot.model_copy(update={"options": {**experiment.robot.options, **options}})
+    station = experiment.station.model_copy(
+        update={"robots": {**experiment.station.robots, name: robot}}
+    )
+    text = station.as_text(experiment.station_source)
+    return replace(experiment, robot=robot, station=station, station_text=text)

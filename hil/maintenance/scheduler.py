@@ -2,23 +2,48 @@
 
 It works on a clock, so that simulations, dry runs and tests have one of their own. Due times are
 computed from that clock every time: a computer that slept, or whose clock was set, is no matter.
+Before an occasion the robot is asked whether it is free and safe to use; when a blackout begins,
+what is under way is stopped as by SIGTERM; a command of the lab's own is told what came of it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import contextlib
+import logging
+import os
+import signal
+import subprocess
+import tempfile
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
-from datetime import datetime, timedelta
-from typing import Any, Protocol
+from datetime import UTC, datetime, timedelta
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Protocol
 
-from hil.core import HilError, RobotConnectionError, Stopped
-from hil.maintenance.schedule.choosing import choose, late_words, lateness
-from hil.maintenance.schedule.holding import ahead, needs_a_look
-from hil.maintenance.schedule.ledger import Ledger, time_text
-from hil.maintenance.schedule.occasion import Job, Occasion, Work
-from hil.maintenance.schedule.times import Window, next_free, occasions, window_in
+import numpy as np
+
+from hil.core import HilError, RobotConnectionError, Stopped, json_text, plain
+from hil.engine import REST_RAD_S, own_checks
+from hil.maintenance.due_times import (
+    Window,
+    choose,
+    late_words,
+    lateness,
+    next_free,
+    occasions,
+    window_in,
+)
+from hil.maintenance.ledger import Job, Ledger, Occasion, Work, ahead, needs_a_look, time_text
+from hil.planning import Experiment, held
+from hil.robot import Status
 from hil.spec import ScheduleSpec
+from hil.workflow import check_driver
+
+if TYPE_CHECKING:
+    from hil.robot import Robot
+
 
 LOOK_AGAIN = timedelta(seconds=60)
 """What was put off for the robot's sake is tried again so often."""
@@ -245,3 +270,231 @@ class Scheduler:
         if problem := self.notify(line):
             about = {"occasion": line["occasion"]} if "occasion" in line else {}
             self._note("unnotified", **about, why=problem)
+
+
+AWAKE_EVERY = timedelta(seconds=60)
+"""Longest sleep: a computer that was suspended, or whose clock was set, finds out after that."""
+
+
+class VirtualClock:
+    """A clock that sleeping puts forward.
+
+    Args:
+        moment: What it shows, with its time zone.
+    """
+
+    def __init__(self, moment: datetime) -> None:
+        self._moment = moment.astimezone(UTC)
+
+    def now(self) -> datetime:
+        """What it shows, UTC."""
+        return self._moment
+
+    def sleep_until(self, moment: datetime) -> None:
+        """Show that moment, unless it is past."""
+        self._moment = max(self._moment, moment.astimezone(UTC))
+
+    def advance(self, by: timedelta) -> None:
+        """Show a later moment."""
+        self._moment += by
+
+
+_GRACE_S = 12 * 3600
+"""APScheduler would otherwise drop an alarm that is a second late."""
+
+
+class WallClock:
+    """The computer's clock, with APScheduler to wake the thread that sleeps; a context manager.
+
+    Work itself stays in the thread that sleeps: runs take signals, which reach the main thread
+    alone.
+    """
+
+    def __init__(self) -> None:
+        from apscheduler.schedulers.background import BackgroundScheduler
+
+        logging.getLogger("apscheduler").setLevel(logging.ERROR)
+        defaults = {"coalesce": True, "max_instances": 1, "misfire_grace_time": _GRACE_S}
+        self._scheduler: Any = BackgroundScheduler(job_defaults=defaults, timezone=UTC)
+        self._awake = threading.Event()
+
+    def __enter__(self) -> WallClock:
+        from apscheduler.events import EVENT_JOB_ERROR, EVENT_JOB_MISSED
+
+        self._scheduler.add_listener(self._ring, EVENT_JOB_ERROR | EVENT_JOB_MISSED)
+        self._scheduler.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._scheduler.shutdown(wait=False)
+
+    def now(self) -> datetime:
+        """UTC."""
+        return datetime.now(UTC)
+
+    def sleep_until(self, moment: datetime) -> None:
+        """Sleep until then, a minute at most."""
+        now = self.now()
+        if moment <= now:
+            return
+        self._awake.clear()
+        wakes = min(moment, now + AWAKE_EVERY)
+        self._scheduler.add_job(
+            self._ring, "date", run_date=wakes, id="next", replace_existing=True
+        )
+        self._awake.wait(AWAKE_EVERY.total_seconds())
+
+    def _ring(self, event: object = None) -> None:
+        self._awake.set()
+
+
+@contextlib.contextmanager
+def curfew(moment: datetime | None) -> Iterator[None]:
+    """Interrupt what is done inside when a moment of the wall clock comes.
+
+    A run stops its robot safely and can be gone on with, as after `kill`. Does nothing outside the
+    main thread, where runs do not hear signals.
+
+    Raises:
+        Interruption: The moment came.
+    """
+    if moment is None or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    over, rung = threading.Event(), threading.Event()
+    watch = threading.Thread(
+        target=_ring_at, args=(moment, over, rung), name="hil-curfew", daemon=True
+    )
+    before = signal.getsignal(signal.SIGTERM)
+    if before is signal.SIG_DFL:  # it would end the process
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
+    watch.start()
+    try:
+        try:
+            yield
+        finally:
+            over.set()
+            watch.join()
+    except BaseException as error:
+        if rung.is_set():
+            raise Interruption("a blackout began") from error
+        raise
+    finally:
+        if before is signal.SIG_DFL:
+            signal.signal(signal.SIGTERM, before)
+
+
+_LOOK_EVERY_S = 1.0
+
+
+def _ring_at(moment: datetime, over: threading.Event, rung: threading.Event) -> None:
+    while not over.is_set():
+        left_s = (moment - datetime.now(UTC)).total_seconds()
+        if left_s <= 0:
+            rung.set()
+            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)
+            return
+        over.wait(min(left_s, _LOOK_EVERY_S))
+
+
+@dataclass(frozen=True, slots=True)
+class RobotReady:
+    """Why a robot cannot be used now, as a text; empty when it can.
+
+    A robot is connected to, leased meanwhile, and asked what the preflight asks of it: whether it
+    is at rest, without a fault, and what it finds about itself, such as remote control or
+    a protective stop. A robot on a virtual clock is this process's own, and always ready.
+
+    Attributes:
+        experiment: Says which robot of which station.
+        wait_s: How long a robot that somebody else holds is waited for [s].
+        tell: Is told once who is waited for.
+    """
+
+    experiment: Experiment
+    wait_s: float = 0.0
+    tell: Callable[[str], object] = lambda text: None
+
+    def __call__(self) -> str:
+        """Ask."""
+        try:
+            if check_driver(self.experiment).clock == "virtual":
+                return ""
+            with held(self.experiment, wait_s=self.wait_s, report=self.tell) as (robot, _):
+                return _trouble(robot)
+        except HilError as error:
+            return error.message
+        except Exception as error:  # a driver may fail in any way it likes
+            return f"the robot cannot be asked: {error!r}"
+
+
+def _trouble(robot: Robot) -> str:
+    """What keeps a connected robot from being moved."""
+    state = robot.read()[-1]
+    told = []
+    if int(state["status"]) & Status.FAULT or int(state["fault_code"]):
+        told.append(f"the controller reports fault code {int(state['fault_code'])}")
+    if (speed := float(np.abs(state["qd"]).max())) > REST_RAD_S:
+        told.append(f"its fastest joint moves at {speed:.4f} rad/s")
+    told += [result.message for result in own_checks(robot) if not result.passed]
+    return "; ".join(told)
+
+
+WITHIN_S = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """Run after every occasion; nothing it does ends the loop.
+
+    Attributes:
+        words: The command and its arguments; empty for none.
+        schedule: Name of the schedule, in what it is told.
+        within_s: It is killed after that time [s].
+    """
+
+    words: tuple[str, ...]
+    schedule: str
+    within_s: float = WITHIN_S
+
+    def __call__(self, line: Mapping[str, Any]) -> str:
+        """Tell it a line of the ledger; returns why that failed, or nothing."""
+        if not self.words:
+            return ""
+        told = {key: value for key, value in line.items() if key != "before"}
+        text = json_text({"schedule": self.schedule, **told})
+        try:
+            return self._run(text.encode())
+        except subprocess.TimeoutExpired:
+            return f"{self.words[0]} did not end within {self.within_s:g} s"
+        except (OSError, ValueError) as error:
+            return f"{self.words[0]} cannot be run: {error}"
+
+    def _run(self, said: bytes) -> str:
+        # Files, not pipes: a grandchild may keep a pipe open for as long as it likes.
+        with tempfile.TemporaryFile() as given, tempfile.TemporaryFile() as told:
+            given.write(said)
+            given.seek(0)
+            command = subprocess.Popen(  # noqa: S603
+                self.words,
+                stdin=given,
+                stdout=subprocess.DEVNULL,
+                stderr=told,
+                start_new_session=True,
+            )
+            try:
+                code = command.wait(self.within_s)
+            finally:
+                if command.poll() is None:
+                    os.killpg(command.pid, signal.SIGKILL)
+                    command.wait()
+            told.seek(0)
+            last = told.read().decode("utf-8", "replace").strip().splitlines()[-1:]
+        if not code:
+            return ""
+        return f"{self.words[0]} ended with {code}" + "".join(f": {plain(line)}" for line in last)

@@ -1,4 +1,7 @@
-"""A dry run: what would happen when, by the loop itself on a clock that is put forward."""
+"""What would happen when, by the loop itself on a clock that is put forward; nothing moves.
+
+How long each occasion moves the robot follows from the plans of what the schedule names.
+"""
 
 from __future__ import annotations
 
@@ -9,15 +12,13 @@ from pathlib import Path
 from typing import Any
 from zoneinfo import ZoneInfo
 
-from hil.core import duration_text
-from hil.maintenance.schedule.clocks import VirtualClock
-from hil.maintenance.schedule.holding import ahead, release
-from hil.maintenance.schedule.ledger import Ledger, Line, occasion_of
-from hil.maintenance.schedule.loop import Scheduler
-from hil.maintenance.schedule.motions import Motions
-from hil.maintenance.schedule.occasion import Occasion
-from hil.maintenance.schedule.times import begin_of, dues
+from hil.core import SpecError, duration_text
+from hil.maintenance.due_times import begin_of, dues, next_free
+from hil.maintenance.ledger import Job, Ledger, Line, Occasion, ahead, occasion_of, release
+from hil.maintenance.scheduler import Scheduler, VirtualClock
+from hil.planning import Experiment
 from hil.spec import ScheduleSpec
+from hil.workflow import preview_experiment
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,9 +57,6 @@ class Expected:
             "count": self.count,
             "again": self.again,
         }
-
-
-_REGULAR = "as regularly as those before"
 
 
 def forecast(
@@ -111,6 +109,9 @@ def _is_regular(spec: ScheduleSpec, motions: Motions) -> bool:
     return every is not None and motions.probe < every and not spec.blackout
 
 
+_REGULAR = "as regularly as those before"
+
+
 def _skip(spec: ScheduleSpec, scheduler: Scheduler, clock: VirtualClock, end: datetime) -> None:
     """Go on to the last probe but one before the next campaign, or the end, noting how many."""
     standing, now = scheduler.ledger.standing, clock.now()
@@ -154,3 +155,66 @@ def _told(lines: list[Line], motions: Motions) -> list[Expected]:
             found.append(Expected(one.due, one.job, "done", at, long, waits, 1, again))
             waits = ""
     return found
+
+
+ALLOWANCE = 1.1
+"""Share of a plan's time that settling and pauses of the controller may add to it."""
+
+AROUND = timedelta(seconds=60)
+"""For connecting, preflight and the recording's end, a run."""
+
+
+@dataclass(frozen=True, slots=True)
+class Motions:
+    """Motion of the programs of a schedule.
+
+    Attributes:
+        probe: Of the short program; zero without one.
+        campaign: Of the full program.
+        on_drift: Whether a probe may lead to a campaign.
+    """
+
+    probe: timedelta = timedelta()
+    campaign: timedelta = timedelta()
+    on_drift: bool = True
+
+    def expected(self, job: Job) -> timedelta:
+        """With nothing found: the probe; or campaign and the probe after it."""
+        return self.probe if job == "probe" else self.campaign + 2 * self.probe
+
+    def longest(self, job: Job) -> timedelta:
+        """With all that may come of it, and what runs take beside motion."""
+        runs = [self.probe]
+        if job == "campaign" or self.on_drift:
+            runs += [self.campaign, self.probe]
+        return sum((ALLOWANCE * each + AROUND for each in runs if each), timedelta())
+
+
+def motions(spec: ScheduleSpec, probe: Experiment | None, campaign: Experiment) -> Motions:
+    """Plan both programs, without connecting to anything.
+
+    Raises:
+        PlanError: No safe plan follows from one of them.
+    """
+    short, full = (
+        timedelta(seconds=round(preview_experiment(each)[1].duration_s)) if each else timedelta()
+        for each in (probe, campaign)
+    )
+    return Motions(short, full, spec.campaign.on_drift)
+
+
+def require_room(spec: ScheduleSpec, motions: Motions, now: datetime) -> None:
+    """Refuse a schedule whose blackouts leave no room for what it does.
+
+    Raises:
+        SpecError: They do not.
+    """
+    jobs: tuple[Job, ...] = ("campaign",) if spec.probe is None else ("probe", "campaign")
+    for job in jobs:
+        longest = motions.longest(job)
+        if next_free(spec, now, longest)[0] is None:
+            raise SpecError(
+                f"blackout: a {job}, with all that may come of it, takes up to "
+                f"{duration_text(longest)}, and there is never so much time between blackouts",
+                hint="make the programs shorter, or the blackouts",
+            )

@@ -4,12 +4,15 @@
     STATE/occasions/ID/         what the work of an occasion has done so far
     STATE/.lock                 held by the process that keeps it
 
-`started` says from when on things are due. Everything due up to the latest `until` is settled, but
-for the occasion that is open: put off (`deferred`), or `begun` and not ended. It ends as `done`,
-`failed`, `held` or `missed`. What is left out is `missed`: one line for all that shares a reason.
-From `held` to `released` nothing begins.
+An occasion is something that was due at some time, done once. `started` says from when on things
+are due. Everything due up to the latest `until` is settled, but for the occasion that is open: put
+off (`deferred`), or `begun` and not ended. It ends as `done`, `failed`, `held` or `missed`. What is
+left out is `missed`: one line for all that shares a reason.
 
-One process keeps it; others add what a person says, each line under a lock of the file.
+From `held` to `released` nothing begins. A schedule is held by a person, by what ended badly on the
+robot (somebody has to look before the arm moves again), and by a clock that cannot be right.
+
+One process keeps the ledger; others add what a person says, each line under a lock of the file.
 """
 
 from __future__ import annotations
@@ -23,23 +26,66 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, Literal, Protocol, get_args
 
 from hil.core import (
     DataError,
     Holder,
+    InterlockTripped,
     RecordingError,
     RegistryError,
-    hold,
+    RobotConnectionError,
+    RobotError,
+    Stopped,
     json_line,
     json_text,
     this_process,
 )
-from hil.maintenance.schedule.occasion import Job, Occasion
+from hil.core import hold as hold_file
 from hil.models import append_line, read_lines
+from hil.recording import operator
+
+Job = Literal["probe", "campaign"]
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Occasion:
+    """Something that is due.
+
+    Attributes:
+        due: When, in UTC.
+        job: What: `probe` (and what follows from it), or the whole `campaign`.
+    """
+
+    due: datetime
+    job: Job
+
+    @property
+    def id(self) -> str:
+        """Unique within a schedule, and fit for a folder's name: `20261128T030000Z-probe`."""
+        return f"{self.due.astimezone(UTC):%Y%m%dT%H%M%SZ}-{self.job}"
+
+
+class Work(Protocol):
+    """Does what is due, or goes on with it where a crash has left it."""
+
+    def __call__(self, occasion: Occasion, folder: Path) -> Mapping[str, Any]:
+        """Do it; what is done already in `folder` is not done again.
+
+        Args:
+            occasion: What is due.
+            folder: Of this occasion alone; the same one whenever it is gone on with.
+
+        Returns:
+            What came of it, for the ledger, notifications and people: at least `text` (one line)
+            and `outcome` (`quiet`, `drift`, `promoted`, `kept`).
+
+        Raises:
+            HilError: It could not be done, or not to its end.
+        """
+
 
 LEDGER_FILE, OCCASIONS, LOCK = "ledger.jsonl", "occasions", ".lock"
-
 Line = Mapping[str, Any]
 
 
@@ -231,63 +277,12 @@ class Ledger:
         return _digest(self.lines[-1]) if self.lines else ""
 
 
-@contextmanager
-def kept(folder: Path, name: str) -> Iterator[Ledger]:
-    """The ledger of a folder, which no other process keeps meanwhile.
-
-    Args:
-        folder: Of the state; made when missing.
-        name: Of the schedule.
-
-    Raises:
-        DataError: Another process keeps it, it is another schedule's, or it is damaged.
-        RecordingError: It cannot be written to.
-    """
-    _make(folder)
-    try:
-        held = hold(folder / LOCK, this_process() | {"schedule": name})
-    except OSError as error:
-        raise RecordingError(
-            f"cannot lock {folder}: {error.strerror or error}", hint="name another with --state"
-        ) from error
-    if isinstance(held, Holder):
-        raise DataError(
-            f"the schedule in {folder} is run by {held}",
-            hint=f"stop that one first, or look at it: hil schedule show FILE --state {folder}",
-        )
-    with held:
-        yield Ledger.read(folder)
-
-
 def _make(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise RecordingError(
             f"cannot make {folder}: {error.strerror or error}", hint="name another with --state"
-        ) from error
-
-
-def time_text(moment: datetime) -> str:
-    """A moment as the ledger has it: UTC, whole seconds."""
-    return moment.astimezone(UTC).isoformat(timespec="seconds")
-
-
-def _digest(line: Line) -> str:
-    return hashlib.sha256(json_text(line).encode()).hexdigest()
-
-
-@contextmanager
-def _locked(path: Path) -> Iterator[None]:
-    """The lock is gone with the descriptor, however this process ends."""
-    try:
-        with path.open("ab") as file:
-            fcntl.flock(file, fcntl.LOCK_EX)
-            yield
-    except OSError as error:
-        raise RegistryError(
-            f"cannot write {path}: {error.strerror or error}",
-            hint="see whether the folder may be written to and the disk has room",
         ) from error
 
 
@@ -316,3 +311,122 @@ def _linked(
             )
         before = hashlib.sha256(raw).hexdigest()
         yield line
+
+
+@contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    """The lock is gone with the descriptor, however this process ends."""
+    try:
+        with path.open("ab") as file:
+            fcntl.flock(file, fcntl.LOCK_EX)
+            yield
+    except OSError as error:
+        raise RegistryError(
+            f"cannot write {path}: {error.strerror or error}",
+            hint="see whether the folder may be written to and the disk has room",
+        ) from error
+
+
+def _digest(line: Line) -> str:
+    return hashlib.sha256(json_text(line).encode()).hexdigest()
+
+
+@contextmanager
+def kept(folder: Path, name: str) -> Iterator[Ledger]:
+    """The ledger of a folder, which no other process keeps meanwhile.
+
+    Args:
+        folder: Of the state; made when missing.
+        name: Of the schedule.
+
+    Raises:
+        DataError: Another process keeps it, it is another schedule's, or it is damaged.
+        RecordingError: It cannot be written to.
+    """
+    _make(folder)
+    try:
+        held = hold_file(folder / LOCK, this_process() | {"schedule": name})
+    except OSError as error:
+        raise RecordingError(
+            f"cannot lock {folder}: {error.strerror or error}", hint="name another with --state"
+        ) from error
+    if isinstance(held, Holder):
+        raise DataError(
+            f"the schedule in {folder} is run by {held}",
+            hint=f"stop that one first, or look at it: hil schedule show FILE --state {folder}",
+        )
+    with held:
+        yield Ledger.read(folder)
+
+
+def time_text(moment: datetime) -> str:
+    """A moment as the ledger has it: UTC, whole seconds."""
+    return moment.astimezone(UTC).isoformat(timespec="seconds")
+
+
+AHEAD = timedelta(days=1)
+"""A ledger so far ahead of the clock was written with another clock; no time zone is so far off."""
+
+
+def needs_a_look(error: Exception) -> bool:
+    """Whether the reason may still stand at the robot: an interlock, a fault, somebody's hand.
+
+    A robot that could not be reached is asked for itself before it moves again, and what failed
+    without it (a fit, a disk) says nothing of it.
+    """
+    if isinstance(error, Stopped):
+        return not error.by_signal
+    if isinstance(error, RobotError):
+        return not isinstance(error, RobotConnectionError)
+    return isinstance(error, InterlockTripped)
+
+
+def ahead(standing: Standing, now: datetime) -> str:
+    """Why the clock cannot be right, or was not; empty where it may be."""
+    if standing.until is None or standing.until <= now + AHEAD:
+        return ""
+    return (
+        f"the clock shows {time_text(now)}, and everything is settled until "
+        f"{time_text(standing.until)}: set the clock, or release the schedule from now on"
+    )
+
+
+def hold(ledger: Ledger, now: datetime, reason: str, by: str = "") -> Line:
+    """Let nothing begin from now on; what is under way comes to its end.
+
+    Args:
+        ledger: Of the schedule.
+        now: The moment.
+        reason: In words.
+        by: Who says so; by default the user of this process.
+
+    Raises:
+        DataError: It is held already.
+        RegistryError: It cannot be written.
+    """
+    if (held := ledger.standing.held) is not None:
+        raise DataError(
+            f"the schedule is held already: {held['why']}", hint="hil schedule show FILE"
+        )
+    return ledger.add("held", now, why=reason, by=by or operator())
+
+
+def release(ledger: Ledger, now: datetime, reason: str, by: str = "") -> Line:
+    """Let it go on; from now on, where its ledger is ahead of the clock.
+
+    Args:
+        ledger: Of the schedule.
+        now: The moment.
+        reason: In words.
+        by: Who says so; by default the user of this process.
+
+    Raises:
+        DataError: Nothing holds it.
+        RegistryError: It cannot be written.
+    """
+    standing, again = ledger.standing, {}
+    if standing.anchor is not None and ahead(standing, now):
+        again = {"anchor": time_text(min(standing.anchor, now)), "until": time_text(now)}
+    elif standing.held is None:
+        raise DataError("the schedule is not held", hint="hil schedule show FILE")
+    return ledger.add("released", now, why=reason, by=by or operator(), **again)

@@ -34,6 +34,45 @@ class Unit:
     text: str
 
 
+_SERVICE = """[Unit]
+Description=hil schedule {name}
+After=network-online.target time-sync.target
+Wants=network-online.target
+{limits}
+[Service]
+Type={kind}
+{owner}WorkingDirectory={folder}
+{environment}ExecStart={command}
+# A stop by signal is an orderly one: the robot is at rest, and the run is gone on with.
+SuccessExitStatus=130
+KillSignal=SIGTERM
+KillMode=mixed
+TimeoutStopSec={stop_s}
+{restart}{install}"""
+
+_RESTART = """Restart=on-failure
+RestartSec=30
+# A mistake in a file, or a schedule that is not armed, does not go away by itself.
+RestartPreventExitStatus=2 3
+"""
+
+_LIMITS = """StartLimitIntervalSec=1h
+StartLimitBurst=5
+"""
+
+_TIMER = """[Unit]
+Description=hil schedule {name}: looks whether something is due
+
+[Timer]
+OnCalendar=*:0/{every}
+AccuracySec=1s
+Persistent=true
+
+[Install]
+WantedBy=timers.target
+"""
+
+
 def units_of(
     name: str, arguments: tuple[str, ...], folder: Path, *, timer: bool, user: bool
 ) -> list[Unit]:
@@ -76,6 +115,27 @@ def units_of(
     return units
 
 
+def _quoted(word: str) -> str:
+    """A word of ExecStart: quoted, with `%` and `$` as themselves."""
+    _require_plain(word)
+    word = word.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%")
+    word = word.replace("$", "$$")
+    return word if re.fullmatch(r"[\w@%+=:,./-]+", word) else f'"{word}"'
+
+
+def _require_plain(text: str) -> None:
+    if not text.isprintable():
+        raise SpecError(
+            f"{text!r} has characters that a systemd unit cannot have", hint="rename the folder"
+        )
+
+
+def _path(path: Path) -> str:
+    """A path as a setting: to the end of the line, `%` as itself."""
+    _require_plain(str(path))
+    return str(path).replace("%", "%%")
+
+
 def write_units(units: list[Unit], folder: Path) -> list[Path]:
     """Write them into a folder, which is made when missing.
 
@@ -106,63 +166,3 @@ def next_words(units: list[Unit], folder: Path, *, user: bool) -> list[str]:
     return told + (
         ["loginctl enable-linger  # it is to run while nobody is logged in"] if user else []
     )
-
-
-def _quoted(word: str) -> str:
-    """A word of ExecStart: quoted, with `%` and `$` as themselves."""
-    _require_plain(word)
-    word = word.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%")
-    word = word.replace("$", "$$")
-    return word if re.fullmatch(r"[\w@%+=:,./-]+", word) else f'"{word}"'
-
-
-def _path(path: Path) -> str:
-    """A path as a setting: to the end of the line, `%` as itself."""
-    _require_plain(str(path))
-    return str(path).replace("%", "%%")
-
-
-def _require_plain(text: str) -> None:
-    if not text.isprintable():
-        raise SpecError(
-            f"{text!r} has characters that a systemd unit cannot have", hint="rename the folder"
-        )
-
-
-_SERVICE = """[Unit]
-Description=hil schedule {name}
-After=network-online.target time-sync.target
-Wants=network-online.target
-{limits}
-[Service]
-Type={kind}
-{owner}WorkingDirectory={folder}
-{environment}ExecStart={command}
-# A stop by signal is an orderly one: the robot is at rest, and the run is gone on with.
-SuccessExitStatus=130
-KillSignal=SIGTERM
-KillMode=mixed
-TimeoutStopSec={stop_s}
-{restart}{install}"""
-
-_LIMITS = """StartLimitIntervalSec=1h
-StartLimitBurst=5
-"""
-
-_RESTART = """Restart=on-failure
-RestartSec=30
-# A mistake in a file, or a schedule that is not armed, does not go away by itself.
-RestartPreventExitStatus=2 3
-"""
-
-_TIMER = """[Unit]
-Description=hil schedule {name}: looks whether something is due
-
-[Timer]
-OnCalendar=*:0/{every}
-AccuracySec=1s
-Persistent=true
-
-[Install]
-WantedBy=timers.target
-"""

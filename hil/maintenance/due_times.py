@@ -1,26 +1,28 @@
-"""What is due when: due times of triggers, occasions in order, and when there is no blackout.
+"""What is due when, and which of it is done; pure functions of schedule, ledger and clock.
 
 Times of day are those of the schedule's time zone. One that the clock skips (when summer time
 begins) comes at the moment it skips; one that it shows twice comes the first time. Intervals are of
 true time. Everything that comes out is UTC.
+
+What was begun is gone on with first. Of what else is due one occasion is done: the latest campaign,
+or where none is due the latest probe; the others are left out in its favour, since a robot that is
+looked at once need not be looked at twice. What was due too long ago is left out, too.
 """
 
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, time, timedelta
 from functools import cache, lru_cache
-from itertools import groupby
+from itertools import groupby, takewhile
 from typing import Any
 from zoneinfo import ZoneInfo
 
-from hil.maintenance.schedule.occasion import Job, Occasion
+from hil.core import duration_text
+from hil.maintenance.ledger import Job, Occasion, Standing
 from hil.spec import Blackout, ScheduleSpec, Trigger
-
-_DAYS = ("mon", "tue", "wed", "thu", "fri", "sat", "sun")
-_MINUTE, _DAY = timedelta(minutes=1), timedelta(days=1)
 
 
 def occasions(spec: ScheduleSpec, anchor: datetime, after: datetime) -> Iterator[Occasion]:
@@ -84,6 +86,9 @@ def _intervals(every: timedelta, start: datetime, after: datetime) -> Iterator[d
         count += 1
 
 
+_MINUTE, _DAY = timedelta(minutes=1), timedelta(days=1)
+
+
 def _by_calendar(cron: str, zone: ZoneInfo, after: datetime) -> Iterator[datetime]:
     # What the wall shows then was shown at `after` or before; later times of day come later.
     shown = after.astimezone(zone).replace(tzinfo=None)
@@ -95,14 +100,6 @@ def _by_calendar(cron: str, zone: ZoneInfo, after: datetime) -> Iterator[datetim
             before = due
 
 
-@cache
-def _calendar(cron: str) -> Any:
-    """It is walked as if it were UTC's: where clocks are never put forward or back."""
-    from apscheduler.triggers.cron import CronTrigger
-
-    return CronTrigger.from_crontab(cron, timezone=UTC)
-
-
 @lru_cache(maxsize=1024)  # the loop asks for the same minutes again and again
 def _shown_next(cron: str, zone: ZoneInfo, wall: datetime) -> tuple[datetime, datetime] | None:
     """The first due time from then on: as the wall shows it, and UTC."""
@@ -111,6 +108,14 @@ def _shown_next(cron: str, zone: ZoneInfo, wall: datetime) -> tuple[datetime, da
         return None
     shown = found.replace(tzinfo=None)
     return shown, moment_of(shown, zone)
+
+
+@cache
+def _calendar(cron: str) -> Any:
+    """It is walked as if it were UTC's: where clocks are never put forward or back."""
+    from apscheduler.triggers.cron import CronTrigger
+
+    return CronTrigger.from_crontab(cron, timezone=UTC)
 
 
 def moment_of(wall: datetime, zone: ZoneInfo, *, last: bool = False) -> datetime:
@@ -194,12 +199,6 @@ def window_in(spec: ScheduleSpec, begin: datetime, end: datetime) -> Window | No
     return min(found, key=lambda window: window.begin, default=None)
 
 
-def _holds_on(blackout: Blackout, day: date) -> bool:
-    """Whether it begins on that day."""
-    in_season = (blackout.first or day) <= day <= (blackout.last or day)
-    return in_season and (not blackout.days or _DAYS[day.weekday()] in blackout.days)
-
-
 def _window(blackout: Blackout, day: date, zone: ZoneInfo) -> Window:
     midnight = datetime.combine(day, time())
     begin, end = _time_of_day(blackout.begin), _time_of_day(blackout.end)
@@ -217,3 +216,83 @@ def _window(blackout: Blackout, day: date, zone: ZoneInfo) -> Window:
 def _time_of_day(text: str) -> timedelta:
     hours, minutes = text.split(":")
     return timedelta(hours=int(hours), minutes=int(minutes))
+
+
+_DAYS = ("mon", "tue", "wed", "thu", "fri", "sat", "sun")
+
+
+def _holds_on(blackout: Blackout, day: date) -> bool:
+    """Whether it begins on that day."""
+    in_season = (blackout.first or day) <= day <= (blackout.last or day)
+    return in_season and (not blackout.days or _DAYS[day.weekday()] in blackout.days)
+
+
+PUNCTUAL = timedelta(minutes=10)
+"""What begins so long after it was due is on time: timers call every few minutes only."""
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """What is done about everything that is due.
+
+    Attributes:
+        late: Due too long ago, oldest first; left out.
+        instead: Due, and left out in favour of what is chosen.
+        chosen: What is to be done, None if nothing is.
+        again: Whether that was begun before.
+    """
+
+    late: tuple[Occasion, ...] = ()
+    instead: tuple[Occasion, ...] = ()
+    chosen: Occasion | None = None
+    again: bool = False
+
+
+def choose(
+    spec: ScheduleSpec, standing: Standing, now: datetime, due_by: datetime | None = None
+) -> Choice:
+    """What is done at a moment.
+
+    Args:
+        spec: The schedule.
+        standing: Of its ledger, which has been started.
+        now: The moment.
+        due_by: What is due later waits; by default that moment.
+    """
+    latest = now - lateness(spec)
+    if standing.begun and standing.open is not None:
+        touched = standing.touched or standing.open.due
+        if touched < now - spec.missed_within:
+            return Choice(late=(standing.open,))
+        return Choice(chosen=standing.open, again=True)
+    due = (*((standing.open,) if standing.open else ()), *due_until(spec, standing, due_by or now))
+    late = tuple(each for each in due if each.due < latest)
+    timely = [each for each in due if each.due >= latest]
+    if not timely:
+        return Choice(late)
+    chosen = max(timely, key=lambda each: (each.job == "campaign", each.due))
+    return Choice(late, tuple(each for each in timely if each != chosen), chosen)
+
+
+def due_until(spec: ScheduleSpec, standing: Standing, now: datetime) -> Sequence[Occasion]:
+    """What is due up to `now` and not settled, oldest first, without what is open."""
+    assert standing.anchor is not None
+    assert standing.until is not None
+    coming = occasions(spec, standing.anchor, standing.until)
+    return list(takewhile(lambda each: each.due <= now, coming))
+
+
+def lateness(spec: ScheduleSpec) -> timedelta:
+    """How long after it was due something may begin."""
+    return spec.missed_within if spec.missed == "run" else PUNCTUAL
+
+
+def late_words(spec: ScheduleSpec, standing: Standing, late: Sequence[Occasion]) -> str:
+    """Why those are left out."""
+    limit = duration_text(spec.missed_within)
+    if standing.begun and list(late) == [standing.open]:
+        return f"begun, and not gone on with within {limit}"
+    because = f", {standing.why}" if standing.open in late and standing.why else ""
+    if spec.missed == "skip":
+        return f"it could not be done on time{because}"
+    return f"it could not be done within {limit}{because}"

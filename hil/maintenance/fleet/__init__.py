@@ -1,1 +1,0 @@
-"""Many robots of one station: runs in parallel, fits wherever there are workers, one report."""

@@ -1,1 +1,0 @@
-"""Stages of a re-identification: each done once, gone on with after a crash."""

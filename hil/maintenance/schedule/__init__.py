@@ -1,1 +1,0 @@
-"""When a robot is probed and identified again: due times, what was done at them, the loop."""
