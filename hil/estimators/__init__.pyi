@@ -51,8 +51,6 @@ from .friction_library import REFERENCE_C as REFERENCE_C
 from .friction_library import RIPPLE_FADES_RAD_S as RIPPLE_FADES_RAD_S
 from .friction_library import FrictionLaw as FrictionLaw
 from .friction_library import column_names as column_names
-from .friction_memory import advanced as advanced
-from .friction_memory import carried_step as carried_step
 from .friction_memory import dahl_states as dahl_states
 from .friction_memory import path_steps as path_steps
 from .gravity import PaperGravity as PaperGravity
@@ -117,5 +115,6 @@ from .static_model import StaticModel as StaticModel
 from .static_model import StaticWls as StaticWls
 from .static_model import one_row_each as one_row_each
 from .static_model import scatter as scatter
+from .streaming import DahlMemory as DahlMemory
 from .streaming import MemorylessStream as MemorylessStream
 from .streaming import one_sample as one_sample

@@ -83,7 +83,7 @@ from hil.estimators.friction_library import (
     usual_temperatures,
 )
 from hil.estimators.friction_memory import path_steps
-from hil.estimators.parameters import flag, number, settings
+from hil.estimators.parameters import flag, number, parameter, settings
 from hil.estimators.streaming import DahlMemory, SampleStream
 
 MOTION = ("q_f", "qd_f", "qdd_f")
@@ -92,17 +92,28 @@ FRICTION_SAMPLES = 10
 """Samples per joint for its friction, beside those for the links."""
 
 
+def _group_names(name: str, value: str | Sequence[str]) -> str | tuple[str, ...]:
+    """`auto`, or names of groups; the core is always there and need not be named.
+
+    Raises:
+        SpecError: There is no such group.
+    """
+    if value == "auto":
+        return "auto"
+    known = groups(ripple=True, temperature=True)
+    chosen = (value,) if isinstance(value, str) else tuple(value)
+    for group in chosen:
+        if group not in known:
+            words = ["auto", *known]
+            raise SpecError(
+                f"{name}: there is no group {group!r}",
+                hint=did_you_mean(str(group), words) or f"there are {', '.join(words)}",
+            )
+    return tuple(dict.fromkeys((CORE, *chosen)))
+
+
 class RigidHysteresis(RobotEstimator):
     """The default for dynamics: a robot that can exist, with friction that remembers.
-
-    Args:
-        friction: `auto` lets training trajectories that are left out choose among a few nested
-            lists of groups, joint by joint; or the groups every joint has.
-        fit_shapes: Fit lengths, Stribeck speeds and exponents; False keeps the usual ones.
-        consistent: Links that can exist; needs the extra `identify`.
-        gear_ratio: Motor turns per joint turn, for ripple; by default the arm's, if known.
-        filters: Preprocessing of training and prediction alike; by default 11 Hz for motion and
-            17.6 Hz for effort, whatever the sample rate, and more for arms that move quicker.
 
     Attributes:
         rigid_: (b,) base parameters.
@@ -118,22 +129,37 @@ class RigidHysteresis(RobotEstimator):
     estimator: ClassVar[str] = "rigid-hysteresis"
     series_kinds: ClassVar[tuple[tuple[SeriesKind, ...], ...]] = (("trajectory",), ("move",))
 
-    inertial_: FloatArray
+    friction: str | tuple[str, ...] = parameter(
+        "auto",
+        _group_names,
+        doc="`auto` lets training trajectories that are left out choose among a few nested lists "
+        "of groups, joint by joint; or the groups every joint has.",
+    )
+    fit_shapes: bool = parameter(
+        True,
+        flag,
+        doc="Fit lengths, Stribeck speeds and exponents; False keeps the usual ones.",
+    )
+    consistent: bool = parameter(
+        True, flag, doc="Links that can exist; needs the extra `identify`."
+    )
+    gear_ratio: float | None = parameter(
+        None,
+        number,
+        above=0,
+        optional=True,
+        doc="Motor turns per joint turn, for ripple; by default the arm's, if known.",
+    )
+    filters: FilterSettings | None = parameter(
+        None,
+        settings,
+        FilterSettings,
+        optional=True,
+        doc="Preprocessing of training and prediction alike; by default 11 Hz for motion and "
+        "17.6 Hz for effort, whatever the sample rate, and more for arms that move quicker.",
+    )
 
-    def __init__(
-        self,
-        *,
-        friction: str | Sequence[str] = "auto",
-        fit_shapes: bool = True,
-        consistent: bool = True,
-        gear_ratio: float | None = None,
-        filters: FilterSettings | dict[str, Any] | None = None,
-    ) -> None:
-        self.friction = group_names("friction", friction)
-        self.fit_shapes = flag("fit_shapes", fit_shapes)
-        self.consistent = flag("consistent", consistent)
-        self.gear_ratio = None if gear_ratio is None else number("gear_ratio", gear_ratio, above=0)
-        self.filters = None if filters is None else settings("filters", filters, FilterSettings)
+    inertial_: FloatArray
 
     def extras(self) -> dict[str, str]:
         """A solver of semidefinite programs, if the links are to be such that can exist."""
@@ -343,26 +369,6 @@ def _bandwidth(velocity: FloatArray, t: FloatArray) -> float:
     frequency, power = welch(velocity, rate, nperseg=length, axis=0)
     share = np.cumsum(power, axis=0) / np.maximum(np.sum(power, axis=0), 1e-300)
     return float(np.median(frequency[np.argmax(share >= ENERGY, axis=0)]))
-
-
-def group_names(name: str, given: str | Sequence[str]) -> str | tuple[str, ...]:
-    """`auto`, or names of groups; the core is always there and need not be named.
-
-    Raises:
-        SpecError: There is no such group.
-    """
-    if given == "auto":
-        return "auto"
-    known = groups(ripple=True, temperature=True)
-    chosen = (given,) if isinstance(given, str) else tuple(given)
-    for group in chosen:
-        if group not in known:
-            words = ["auto", *known]
-            raise SpecError(
-                f"{name}: there is no group {group!r}",
-                hint=did_you_mean(str(group), words) or f"there are {', '.join(words)}",
-            )
-    return tuple(dict.fromkeys((CORE, *chosen)))
 
 
 def motor_turns(robot: RobotModel, gear_ratio: float | None) -> FloatArray:

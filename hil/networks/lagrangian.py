@@ -31,7 +31,7 @@ from torch.nn import functional
 
 from hil.core import BoolArray, FitError, FloatArray, SpecError
 from hil.data import Dataset
-from hil.estimators import advanced, carried_step, one_sample
+from hil.estimators import DahlMemory, one_sample
 from hil.networks.lagrangian_data import DIRECTION, MOTION, Task, smooth_sign
 from hil.networks.lagrangian_friction import friction_network
 from hil.networks.lagrangian_settings import Design, NetworkSettings
@@ -507,10 +507,9 @@ class NetworkStream:
         load: LoadTorque | None,
         scale: FloatArray,
     ) -> None:
-        self._module, self._width, self._length = module, width, length
+        self._module, self._width = module, width
         self._load, self._scale = load, scale
-        self._state = np.zeros((1, len(scale)))
-        self._last: FloatArray | None = None
+        self._memory = None if length is None else DahlMemory(length, [1.0])
 
     def step(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
         """Predicted effort (n,) for one sample, each input (n,); qd of exactly 0 holds.
@@ -529,12 +528,9 @@ class NetworkStream:
         return sample
 
     def _direction(self, q: FloatArray, qd: FloatArray) -> FloatArray:
-        if self._length is None:
+        if self._memory is None:
             return smooth_sign(qd, self._width)
-        step = carried_step(q, self._last, qd)
-        self._last = q
-        self._state = advanced(self._state, step, self._length)
-        return self._state
+        return self._memory.after(q, qd)[1.0]
 
 
 VALIDATED_AT_ONCE = 4096
