@@ -29,8 +29,8 @@ from hil.data.dwells import dwells_of, series_means
 from hil.data.splits import Split, split
 from hil.dynamics import load_model
 from hil.estimators import estimator
-from hil.estimators.gravity import PaperGravity
 from hil.estimators.static_linear import StaticLinear
+from hil.estimators.static_model import PaperGravity
 from hil.importers.load import load_source
 
 SEEDS, QUICK_SEEDS = (1, 2, 3), (1,)

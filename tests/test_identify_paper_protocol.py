@@ -9,8 +9,7 @@ from synthetic_motion import GAINS, LOAD, dataset, dwelling, nominal, plant
 
 from hil.core.errors import FitError, SpecError
 from hil.estimators import load_model_file, save_model
-from hil.estimators.gravity import paper_functions
-from hil.estimators.static_model import CURRENT_PART, StaticWls, signed_square
+from hil.estimators.static_model import CURRENT_PART, StaticWls, paper_functions, signed_square
 
 K2, K1, K0 = 0.6, 11.0, 0.8
 

@@ -8,8 +8,7 @@ from synthetic_motion import GAINS, LOAD, OFFSET, dwelling, fourier, moving, nom
 
 from hil.core.errors import FitError, SpecError
 from hil.data import Conditions, Dataset
-from hil.estimators.gravity import paper_functions
-from hil.estimators.static_model import StaticWls
+from hil.estimators.static_model import StaticWls, paper_functions
 
 pytestmark = pytest.mark.quick
 

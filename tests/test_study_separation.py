@@ -15,8 +15,8 @@ from sklearn.linear_model import LinearRegression
 import hil
 from hil.data.dataset import Dataset
 from hil.data.splits import group_of
-from hil.estimators.gravity import paper_functions
 from hil.estimators.model_file import json_bytes
+from hil.estimators.static_model import paper_functions
 from hil.studies.base import silent, study
 from hil.studies.result import Figure, Part, StudyResult, Table
 from hil.studies.separation_data import dwells_in, one_per_pose, recording_of, rows_in

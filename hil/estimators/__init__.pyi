@@ -53,7 +53,6 @@ from .friction_library import FrictionLaw as FrictionLaw
 from .friction_library import column_names as column_names
 from .friction_memory import dahl_states as dahl_states
 from .friction_memory import path_steps as path_steps
-from .gravity import PaperGravity as PaperGravity
 from .model_file import Training as Training
 from .model_file import json_bytes as json_bytes
 from .model_file import model_files as model_files
@@ -111,6 +110,7 @@ from .static_linear import StaticLinear as StaticLinear
 from .static_linear import Weights as Weights
 from .static_model import PAPER_PROTOCOL as PAPER_PROTOCOL
 from .static_model import Form as Form
+from .static_model import PaperGravity as PaperGravity
 from .static_model import StaticModel as StaticModel
 from .static_model import StaticWls as StaticWls
 from .static_model import one_row_each as one_row_each

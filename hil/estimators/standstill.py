@@ -13,6 +13,7 @@ prediction mean for the arm itself is told here, in N·m:
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -20,7 +21,7 @@ import numpy as np
 from hil.arms import Payload
 from hil.core import DataError, FitError, FloatArray
 from hil.data import Conditions, Dataset
-from hil.estimators.base import RobotEstimator
+from hil.estimators.base import RobotEstimator, motion_of
 
 COULOMB, OFFSET = "coulomb", "offset"
 """Names of a joint's dry friction and offset among the parameters of a model that is linear."""
@@ -165,19 +166,5 @@ def resting_at(model: RobotEstimator, q: FloatArray, load: Payload) -> Dataset:
     if q.ndim != 2 or q.shape[1] != n:
         raise DataError(f"the model has {n} joints, the positions have the shape {q.shape}")
     still = np.zeros_like(q)
-    columns = {"t": np.arange(len(q), dtype=np.float64), "q": q, "qd": still, "effort": still}
-    columns |= {"q_f": q, "qd_f": still, "qdd_f": still, "effort_f": still}
-    return Dataset(
-        robot=model.robot_.name,
-        joint_names=model.joint_names_,
-        effort_kind="torque" if model.effort_kind_ == "torque" else "current",
-        columns=columns,
-        offsets=np.array([0, len(q)]),
-        conditions=(Conditions("at rest", "dwell", payload=load),),
-        gravity=_vector(model.robot_.gravity_vector),
-    )
-
-
-def _vector(values: FloatArray) -> tuple[float, float, float]:
-    x, y, z = (float(value) for value in values)
-    return x, y, z
+    whole = motion_of(model, np.arange(len(q), dtype=np.float64), q, still, still)
+    return replace(whole, conditions=(Conditions("at rest", "dwell", payload=load),))

@@ -166,7 +166,7 @@ def of_base(
 def paper_entry(
     model: StaticModel, name: str, value: float, torque: str, known: tuple[float, list[float], str]
 ) -> Entry:
-    """One of eq. 15's parameters, named as `hil.estimators.gravity.PaperGravity` names them."""
+    """One of eq. 15's parameters, by the name that `PaperGravity` has for it."""
     joint = model.joint_names_[int(name[5]) - 1]
     waves = PAPER[name]
     text = "·".join(f"{f}({'+'.join(f'q{i}' for i in joints)})" for f, joints in waves)
