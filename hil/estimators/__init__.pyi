@@ -67,6 +67,7 @@ from .model_folder import only_model as only_model
 from .parameters import MOST_SEED as MOST_SEED
 from .parameters import Parametrised as Parametrised
 from .parameters import Whole as Whole
+from .parameters import as_given as as_given
 from .parameters import choice as choice
 from .parameters import flag as flag
 from .parameters import mapping as mapping

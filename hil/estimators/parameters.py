@@ -15,7 +15,8 @@ in `_check_together`. Classes with a constructor of their own work as well: its 
 parameters, each stored in an attribute of the same name.
 
 The checks (`number`, `whole`, `share`, `flag`, `choice`, `mapping`, `settings`) take the
-parameter's name and value, return the value to be stored and raise `SpecError` with that name.
+parameter's name and value, return the value to be stored and raise `SpecError` with that name;
+`as_given` leaves a parameter to `_check_together`.
 """
 
 from __future__ import annotations
@@ -142,6 +143,11 @@ class Parametrised:
 
 
 Settings = TypeVar("Settings", bound=BaseModel)
+
+
+def as_given(name: str, value: Any) -> Any:
+    """Return the value, whatever it is."""
+    return value
 
 
 def number(

@@ -15,7 +15,6 @@ that needs torch); `residual_selection.Judged` decides which joints keep theirs.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -43,10 +42,12 @@ from hil.estimators import (
     Needs,
     RobotEstimator,
     SpeedBands,
+    as_given,
     estimator,
     mapping,
     needs_of,
     number,
+    parameter,
     prepared,
     require_clean,
     require_motion,
@@ -88,23 +89,16 @@ RESIDUAL = "residual"
 """Component of a prediction that the network adds."""
 
 
+def _base(name: str, value: Any) -> dict[str, Any]:
+    return mapping(name, BASE if value is None else value)
+
+
+def _training(name: str, value: Any) -> dict[str, Any]:
+    return TRAINING | mapping(name, value)
+
+
 class ResidualNetwork(RobotEstimator):
     """An estimator as physics, and a network for what it leaves.
-
-    Args:
-        base: Name (`estimator`) and parameters of the physics.
-        inputs: What the network hears of torque: `motion` (nothing), `history` or `measured`.
-        layout: `grouped` (one per joint) or `joint` (one for all).
-        latency_s: How old the newest torque of `history` is [s].
-        network: Any other of `ResidualSettings`.
-        training: `TrainingSettings` that are to be others than usual for residual networks.
-        folds: Parts the trajectories are dealt into; the physics and a network are fitted without
-            each. With 1 a single network is trained on what the physics leaves of its own data.
-        margin: Share of a joint's error that its network must save on left-out trajectories.
-        coverage: Share of samples that the bands are made for; an estimate.
-        validation_share: Of the trajectories, to stop by where there are no folds.
-        filters: Of the network's inputs and of what it learns; the physics has its own.
-        seed: Of folds, start weights and mini-batches.
 
     Attributes:
         base_: The fitted physics.
@@ -134,32 +128,57 @@ class ResidualNetwork(RobotEstimator):
     watch_: Watch | None = None
     checkpoints_: Path | None = None
 
-    def __init__(
-        self,
-        *,
-        base: Mapping[str, Any] | None = None,
-        inputs: str = "motion",
-        layout: str = "grouped",
-        latency_s: float = 0.02,
-        network: Mapping[str, Any] | None = None,
-        training: Mapping[str, Any] | None = None,
-        folds: int = 3,
-        margin: float = 0.02,
-        coverage: float = 0.9,
-        validation_share: float = 0.22,
-        filters: FilterSettings | dict[str, Any] | None = None,
-        seed: int = 0,
-    ) -> None:
-        self.base = mapping("base", BASE if base is None else base)
-        self.inputs, self.layout, self.latency_s = inputs, layout, latency_s
-        self.network = mapping("network", network)
-        self.training = TRAINING | mapping("training", training)
-        self.folds = whole("folds", folds, at_least=1)
-        self.margin = number("margin", margin, at_least=0.0)
-        self.coverage = share("coverage", coverage)
-        self.validation_share = share("validation_share", validation_share)
-        self.filters = None if filters is None else settings("filters", filters, FilterSettings)
-        self.seed = whole("seed", seed, at_least=0, at_most=MOST_SEED)
+    base: dict[str, Any] = parameter(
+        None, _base, doc="Name (`estimator`) and parameters of the physics."
+    )
+    inputs: str = parameter(
+        "motion",
+        as_given,
+        doc="What the network hears of torque: `motion` (nothing), `history` or `measured`.",
+    )
+    layout: str = parameter(
+        "grouped", as_given, doc="`grouped` (one per joint) or `joint` (one for all)."
+    )
+    latency_s: float = parameter(
+        0.02, as_given, doc="How old the newest torque of `history` is [s]."
+    )
+    network: dict[str, Any] = parameter(None, mapping, doc="Any other of `ResidualSettings`.")
+    training: dict[str, Any] = parameter(
+        None,
+        _training,
+        doc="`TrainingSettings` that are to be others than usual for residual networks.",
+    )
+    folds: int = parameter(
+        3,
+        whole,
+        at_least=1,
+        doc="Parts the trajectories are dealt into; the physics and a network are fitted without "
+        "each. With 1 a single network is trained on what the physics leaves of its own data.",
+    )
+    margin: float = parameter(
+        0.02,
+        number,
+        at_least=0.0,
+        doc="Share of a joint's error that its network must save on left-out trajectories.",
+    )
+    coverage: float = parameter(
+        0.9, share, doc="Share of samples that the bands are made for; an estimate."
+    )
+    validation_share: float = parameter(
+        0.22, share, doc="Of the trajectories, to stop by where there are no folds."
+    )
+    filters: FilterSettings | None = parameter(
+        None,
+        settings,
+        FilterSettings,
+        optional=True,
+        doc="Of the network's inputs and of what it learns; the physics has its own.",
+    )
+    seed: int = parameter(
+        0, whole, at_least=0, at_most=MOST_SEED, doc="Of folds, start weights and mini-batches."
+    )
+
+    def _check_together(self) -> None:
         self._settings()
         base_estimator(self.base)
 

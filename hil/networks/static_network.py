@@ -34,10 +34,12 @@ from hil.estimators import (
     Form,
     MemorylessStream,
     StaticModel,
+    as_given,
     choice,
     flag,
     number,
     one_row_each,
+    parameter,
     whole,
 )
 from hil.networks.lm import Callback, History, Scaling, Settings, Trained, train
@@ -46,27 +48,42 @@ from hil.networks.mlp import Mlp, Precision
 FRICTION = "friction"
 
 
+TARGETS = ("effort", "current", "torque")
+"""Columns whose names hold one of these are what is to be predicted, or made of it."""
+
+
+def checked_names(parameter_name: str, names: Any) -> list[str]:
+    """Names as a list.
+
+    Raises:
+        SpecError: It is no list of names, is empty, a name occurs twice, or it is the effort.
+    """
+    if isinstance(names, str) or not isinstance(names, list | tuple) or not names:
+        raise SpecError(
+            f"{parameter_name} is {names!r}, but must be a list of names such as [q2, approach]"
+        )
+    wrong = [name for name in names if not isinstance(name, str) or not name]
+    if wrong:
+        raise SpecError(f"{parameter_name}: {wrong[0]!r} is no name of a column")
+    if len(set(names)) != len(names):
+        raise SpecError(f"{parameter_name}: {max(names, key=names.count)} is there twice")
+    _require_no_target(names)
+    return list(names)
+
+
+def _require_no_target(names: list[str] | tuple[str, ...]) -> None:
+    for name in names:
+        if any(target in name.lower() for target in TARGETS):
+            raise SpecError(
+                f"inputs: {name!r} is the effort that is to be predicted, or made of it: the model "
+                "would be given its answer",
+                hint="use positions, velocities, temperature, approach, or columns of your own "
+                "that are known without measuring or commanding an effort",
+            )
+
+
 class StaticMlpLm(StaticModel):
     """Gravity, offset and friction of an arm at rest.
-
-    Args:
-        layers: Units per layer of every joint's network, inputs first.
-        activations: One per layer behind the inputs; None is tanh, and a linear output.
-        inputs: What the networks see, see `hil.networks.static_network`.
-        epochs: Of training, at most.
-        validation_percent: Of the training poses, held out from the networks to stop by; 0: none.
-            The gravity fit sees them.
-        patience: Epochs without a better validation error until a network stops.
-        weight_decay: Times the sum of squared weights, beside the mean square error of the
-            standardised residual.
-        averaging: Train on one row per dwell, weighted by its samples: the same minimum.
-        form: `shared` or `paper`, as in `StaticWls`.
-        current_term: As in `StaticWls`.
-        rest_speed: Faster than this [rad/s] a row is not at rest and the model not valid.
-        precision: `float64`, or `float32` for the Jacobian and its products.
-        device: `cpu` or `cuda`.
-        seed: Of start weights and held-out poses.
-        jobs: Processes to spread the joints over; the result does not depend on it.
 
     Attributes:
         networks_: The trained networks, one per joint.
@@ -80,46 +97,67 @@ class StaticMlpLm(StaticModel):
     tells_friction: ClassVar[bool] = True
     callback: Callback | None = None
 
-    def __init__(
-        self,
-        *,
-        layers: Sequence[int] = (4, 20, 20, 10, 1),
-        activations: Sequence[str] | None = None,
-        inputs: Sequence[str] = ("q2", "q3", "q4", "q5"),
-        epochs: int = 1000,
-        validation_percent: float = 10.0,
-        patience: int = 50,
-        weight_decay: float = 0.0,
-        averaging: bool = True,
-        form: Form = "shared",
-        current_term: bool = False,
-        rest_speed: float = 0.01,
-        precision: Precision = "float64",
-        device: str = "cpu",
-        seed: int = 0,
-        jobs: int = 1,
-    ) -> None:
-        self.layers = layers
-        self.activations = activations
-        self.inputs = checked_names(inputs)
-        self.epochs = whole("epochs", epochs, at_least=1)
-        self.validation_percent = number("validation_percent", validation_percent, at_least=0.0)
-        self.patience = whole("patience", patience, at_least=1)
-        self.weight_decay = number("weight_decay", weight_decay, at_least=0.0)
-        self.averaging = flag("averaging", averaging)
-        self.form = choice("form", form, ("shared", "paper"))
-        self.current_term = flag("current_term", current_term)
-        self.rest_speed = number("rest_speed", rest_speed, above=0.0)
-        self.precision = precision
-        self.device = device
-        self.seed = whole("seed", seed, at_least=0)
-        self.jobs = whole("jobs", jobs, at_least=1)
-        self._check_together()
-        self._mlp = Mlp(layers, activations)
+    layers: Sequence[int] = parameter(
+        (4, 20, 20, 10, 1), as_given, doc="Units per layer of every joint's network, inputs first."
+    )
+    activations: Sequence[str] | None = parameter(
+        None, as_given, doc="One per layer behind the inputs; None is tanh, and a linear output."
+    )
+    inputs: list[str] = parameter(
+        ("q2", "q3", "q4", "q5"),
+        checked_names,
+        doc="What the networks see, see `hil.networks.static_network`.",
+    )
+    epochs: int = parameter(1000, whole, at_least=1, doc="Of training, at most.")
+    validation_percent: float = parameter(
+        10.0,
+        number,
+        at_least=0.0,
+        doc="Of the training poses, held out from the networks to stop by; 0: none. The gravity "
+        "fit sees them.",
+    )
+    patience: int = parameter(
+        50, whole, at_least=1, doc="Epochs without a better validation error until a network stops."
+    )
+    weight_decay: float = parameter(
+        0.0,
+        number,
+        at_least=0.0,
+        doc="Times the sum of squared weights, beside the mean square error of the standardised "
+        "residual.",
+    )
+    averaging: bool = parameter(
+        True, flag, doc="Train on one row per dwell, weighted by its samples: the same minimum."
+    )
+    form: Form = parameter(
+        "shared", choice, ("shared", "paper"), doc="`shared` or `paper`, as in `StaticWls`."
+    )
+    current_term: bool = parameter(False, flag, doc="As in `StaticWls`.")
+    rest_speed: float = parameter(
+        0.01,
+        number,
+        above=0.0,
+        doc="Faster than this [rad/s] a row is not at rest and the model not valid.",
+    )
+    precision: Precision = parameter(
+        "float64", as_given, doc="`float64`, or `float32` for the Jacobian and its products."
+    )
+    device: str = parameter("cpu", as_given, doc="`cpu` or `cuda`.")
+    seed: int = parameter(0, whole, at_least=0, doc="Of start weights and held-out poses.")
+    jobs: int = parameter(
+        1,
+        whole,
+        at_least=1,
+        doc="Processes to spread the joints over; the result does not depend on it.",
+    )
+
+    def _check_together(self) -> None:
+        super()._check_together()
+        self._mlp = Mlp(self.layers, self.activations)
         Settings.given(self._settings())
-        if validation_percent >= 100.0:
+        if self.validation_percent >= 100.0:
             raise SpecError(
-                f"validation_percent is {validation_percent:g}, but must be below 100",
+                f"validation_percent is {self.validation_percent:g}, but must be below 100",
                 hint="20 is usual",
             )
 
@@ -224,37 +262,6 @@ class StaticMlpLm(StaticModel):
 
 APPROACH = "approach"
 OWN = "own:"
-
-TARGETS = ("effort", "current", "torque")
-"""Columns whose names hold one of these are what is to be predicted, or made of it."""
-
-
-def checked_names(names: Any) -> list[str]:
-    """Names as a list.
-
-    Raises:
-        SpecError: It is no list of names, is empty, a name occurs twice, or it is the effort.
-    """
-    if isinstance(names, str) or not isinstance(names, list | tuple) or not names:
-        raise SpecError(f"inputs is {names!r}, but must be a list of names such as [q2, approach]")
-    wrong = [name for name in names if not isinstance(name, str) or not name]
-    if wrong:
-        raise SpecError(f"inputs: {wrong[0]!r} is no name of a column")
-    if len(set(names)) != len(names):
-        raise SpecError(f"inputs: {max(names, key=names.count)} is there twice")
-    _require_no_target(names)
-    return list(names)
-
-
-def _require_no_target(names: list[str] | tuple[str, ...]) -> None:
-    for name in names:
-        if any(target in name.lower() for target in TARGETS):
-            raise SpecError(
-                f"inputs: {name!r} is the effort that is to be predicted, or made of it: the model "
-                "would be given its answer",
-                hint="use positions, velocities, temperature, approach, or columns of your own "
-                "that are known without measuring or commanding an effort",
-            )
 
 
 def positions_only(names: list[str]) -> bool:
