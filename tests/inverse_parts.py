@@ -73,7 +73,7 @@ class Toy(RigidWls):
 
 
 def toys(row: Row, seed: int, sign_width: float, filters: Any, effort: float) -> Any:
-    """In the place of `hil.studies.inverse_methods.unfitted`: no row is a network."""
+    """In the place of `hil.studies.inverse_fits.unfitted`: no row is a network."""
     if ROWS[row.key].learns:
         return Toy(filters=filters, sign_width=sign_width)
     return RigidWls(filters=filters, sign_width=sign_width)

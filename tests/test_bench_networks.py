@@ -11,7 +11,7 @@ import pytest
 from hil.cli import benchmarking
 from hil.data.prediction import Prediction
 from hil.dynamics import load_model
-from hil.studies.inverse_score import nothing
+from hil.studies.inverse_fits import nothing
 from hil_mock_robot.plant.truth import draw_truth
 
 ROOT = Path(__file__).parents[1]

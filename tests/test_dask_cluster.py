@@ -18,7 +18,7 @@ from hil.core.dask_cluster import DaskCluster, checked_address, cluster
 from hil.core.errors import FitError, PluginError, SpecError
 from hil.core.executor import BLAS_VARIABLES
 from hil.studies.base import silent
-from hil.studies.separation_tasks import Task, run_tasks
+from hil.studies.tasks import Task, run_tasks
 
 
 @pytest.fixture(scope="module")

@@ -14,13 +14,13 @@ from hil.studies.base import GROUP
 from hil.studies.dynamic_methods import METHOD_KEYS as DYNAMIC_KEYS
 from hil.studies.dynamic_methods import METHODS as DYNAMIC_METHODS
 from hil.studies.inverse_methods import DEFAULT_KEYS, ROW_KEYS, ROWS
-from hil.studies.separation_methods import METHOD_KEYS, known_methods
-from hil.studies.static_separation import TABLE_3
+from hil.studies.separation_honest import METHOD_KEYS, known_methods
+from hil.studies.separation_tables import TABLE_3
 
 PAGE = (Path(__file__).parents[1] / "docs" / "reference" / "studies.md").read_text("utf-8")
 OURS = [name for name in plugins.names(GROUP) if plugins.load(GROUP, name).__module__[:4] == "hil."]
 IN_WORDS = {
-    "the eight of Table 3": TABLE_3,
+    "the eight of Table 3": tuple(TABLE_3),
     "all": METHOD_KEYS,
     "all methods": DYNAMIC_KEYS,
     "all rows but `proposed-literal`": DEFAULT_KEYS,

@@ -24,14 +24,14 @@ from hil.estimators.base import GROUP
 from hil.estimators.model_file import json_bytes
 from hil.studies import dynamic_methods
 from hil.studies.base import study
-from hil.studies.dynamic_data import (
+from hil.studies.dynamic_methods import (
     REVERSAL_S,
     honest_parts,
     near_reversals,
     paper_parts,
     trajectories_of,
 )
-from hil.studies.dynamic_printed import AVERAGES, TABLE_II
+from hil.studies.dynamic_tables import AVERAGES, TABLE_II
 from hil.studies.result import StudyResult, Table
 from hil.studies.soundness import faults_of
 

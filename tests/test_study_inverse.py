@@ -17,11 +17,11 @@ from hil.data.dataset import Dataset, rows_of
 from hil.data.filters import FilterSettings
 from hil.estimators.base import estimator
 from hil.estimators.model_file import json_bytes
-from hil.studies import inverse_dynamics, inverse_fits, inverse_found
+from hil.studies import inverse_dynamics, inverse_fits, inverse_methods
 from hil.studies.base import Ended, study
 from hil.studies.inverse_cases import honest_case, recorded
 from hil.studies.inverse_methods import ROW_KEYS, ROWS, USUAL_EPOCHS, families, unfitted
-from hil.studies.inverse_printed import PRINTED, PRINTED_AVERAGES
+from hil.studies.inverse_tables import PRINTED, PRINTED_AVERAGES
 from hil.studies.result import StudyResult, Table
 from hil.studies.soundness import faults_of
 
@@ -31,7 +31,7 @@ PAGE = Path(__file__).parents[1] / "docs" / "reference" / "studies.md"
 @pytest.fixture(autouse=True)
 def _no_networks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(inverse_fits, "unfitted", toys)
-    monkeypatch.setattr(inverse_fits.plugins, "names", lambda group: _Every())
+    monkeypatch.setattr(inverse_methods.plugins, "names", lambda group: _Every())
     monkeypatch.setattr(Toy, "fits", 0)
 
 
@@ -223,14 +223,14 @@ def test_nothing_can_fail_any_more_after_the_fits(monkeypatch: pytest.MonkeyPatc
     def broken(case: object) -> None:
         raise DataError("of all things")
 
-    monkeypatch.setattr(inverse_found.Seen, "of", broken)
+    monkeypatch.setattr(inverse_fits.Seen, "of", broken)
     monkeypatch.setattr(inverse_dynamics, "run_tasks", lambda *_: pytest.fail("it was fitted"))
     with pytest.raises(DataError, match="of all things"):
         made(methods=["wls"])
 
 
 def test_what_is_not_installed_is_said_and_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(inverse_fits.plugins, "names", lambda group: ("rigid-wls", "residual"))
+    monkeypatch.setattr(inverse_methods.plugins, "names", lambda group: ("rigid-wls", "residual"))
     told = made(protocols=["honest"])
     assert "Proposed with RC, no torque: lagrangian is not installed" in told.warnings
     assert "Proposed" not in str(table(told, "table-honest").rows[:2])

@@ -17,9 +17,15 @@ from hil.data.prediction import Prediction
 from hil.data.splits import groups
 from hil.estimators.rigid_linear import RigidWls
 from hil.studies import inverse_fits
-from hil.studies.inverse_cases import Case, honest_case, paper_case, recorded
-from hil.studies.inverse_noise import persistence_of, white_noise_left
-from hil.studies.inverse_score import judged
+from hil.studies.inverse_cases import (
+    Case,
+    honest_case,
+    paper_case,
+    persistence_of,
+    recorded,
+    white_noise_left,
+)
+from hil.studies.inverse_fits import judged
 
 
 def case_of(make: Any = honest_case, seed: int = 0) -> Case:

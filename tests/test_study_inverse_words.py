@@ -7,12 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hil.studies.inverse_found import Found, Seen
+from hil.studies.inverse_cases import Held
+from hil.studies.inverse_fits import Found, Judged, Seen, Shown, apart
 from hil.studies.inverse_methods import ROWS, USUAL_EPOCHS
-from hil.studies.inverse_noise import Held
-from hil.studies.inverse_ranks import apart
-from hil.studies.inverse_score import Judged, Shown
-from hil.studies.inverse_words import TEXTS, TITLES, summary
+from hil.studies.inverse_tables import TEXTS, TITLES, summary
 
 NAN = np.full(2, np.nan)
 

@@ -10,7 +10,7 @@ import pytest
 
 from hil.arms.payload import Payload
 from hil.estimators.payload import NAMES
-from hil.studies.load_score import TOLD
+from hil.studies.load_models import TOLD
 from hil.studies.load_tables import TORQUES, WAYS, declarations, errors, figures, identified
 
 LOADS = (0.0, 1.0, 3.0)

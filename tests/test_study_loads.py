@@ -23,10 +23,8 @@ from hil.estimators.payload_declaration import Declaration
 from hil.estimators.rigid_linear import RigidWls
 from hil.studies.base import study
 from hil.studies.inverse_cases import recorded as recorded_from
-from hil.studies.load_cases import LoadCase, load_cases, unseen
-from hil.studies.load_models import folds_of
-from hil.studies.load_score import Scored, UnderLoads
-from hil.studies.load_words import warnings
+from hil.studies.load_models import LoadCase, Scored, UnderLoads, folds_of, load_cases, unseen
+from hil.studies.load_tables import warnings
 from hil.studies.result import StudyResult, Table
 from hil.studies.soundness import faults_of
 from hil.workflow import studies as campaign
@@ -222,16 +220,16 @@ def test_a_run_with_one_load_is_refused() -> None:
 def test_a_load_that_cannot_be_identified_is_told_and_the_others_are_judged(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    from hil.studies import load_score
+    from hil.studies import load_models
 
-    real = load_score.estimate_payload
+    real = load_models.estimate_payload
 
     def failing(model: Any, data: Any, **options: Any) -> Any:
         if data.conditions[0].load == 1:
             raise FitError("the load did not settle")
         return real(model, data, **options)
 
-    monkeypatch.setattr(load_score, "estimate_payload", failing)
+    monkeypatch.setattr(load_models, "estimate_payload", failing)
     result = study("load-validation", **SMALL).run(sweep(), nominal())
     assert "1 kg, rigid-wls: not identified: the load did not settle" in result.warnings
     verdicts = [row[1] for row in table(result, "table-declarations").rows]

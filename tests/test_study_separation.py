@@ -19,13 +19,18 @@ from hil.estimators.model_file import json_bytes
 from hil.estimators.static_model import paper_functions
 from hil.studies.base import silent, study
 from hil.studies.result import Figure, Part, StudyResult, Table
-from hil.studies.separation_data import dwells_in, one_per_pose, recording_of, rows_in
-from hil.studies.separation_honest import HonestProtocol
-from hil.studies.separation_methods import METHOD_KEYS, fit_tasks, known_methods
-from hil.studies.separation_split import by_pose, by_sample
-from hil.studies.separation_tasks import run_tasks
+from hil.studies.separation_data import (
+    by_pose,
+    by_sample,
+    dwells_in,
+    one_per_pose,
+    recording_of,
+    rows_in,
+)
+from hil.studies.separation_honest import METHOD_KEYS, HonestProtocol, fit_tasks, known_methods
 from hil.studies.soundness import faults_of
 from hil.studies.store import read_study, study_files
+from hil.studies.tasks import run_tasks
 
 SMALL: dict[str, Any] = {
     "epochs": 40,

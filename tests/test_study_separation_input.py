@@ -17,7 +17,7 @@ from hil.dynamics import load_model
 from hil.studies.base import silent, study
 from hil.studies.result import StudyResult
 from hil.studies.separation_data import one_per_pose, pairs, recording_of, sample_noise
-from hil.studies.separation_tasks import Task, run_tasks
+from hil.studies.tasks import Task, run_tasks
 
 QUICK: dict[str, Any] = {
     "protocols": ["honest"],

@@ -19,7 +19,7 @@ from hil.core import spreading
 from hil.core.errors import FitError, SpecError
 from hil.core.executor import BLAS_VARIABLES, one_thread, spread_over
 from hil.studies.base import Ended, silent
-from hil.studies.separation_tasks import Task, run_tasks
+from hil.studies.tasks import Task, run_tasks
 
 
 class Watched(Executor):

@@ -25,8 +25,16 @@ from hil.data.dataset import Dataset
 from hil.data.filters import prepare
 from hil.dynamics import RobotModel, load_model
 from hil.estimators.base import RobotEstimator
-from hil.studies.dynamic_data import Parts, Trajectories, honest_parts, trajectories_of
-from hil.studies.dynamic_methods import METHODS, missing, score, unfitted
+from hil.studies.dynamic_methods import (
+    METHODS,
+    Parts,
+    Trajectories,
+    honest_parts,
+    missing,
+    score,
+    trajectories_of,
+    unfitted,
+)
 from hil_mock_robot.plant.simulation import Setting, Simulation
 from hil_mock_robot.plant.truth import draw_truth
 

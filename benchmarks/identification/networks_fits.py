@@ -10,7 +10,7 @@ from hil.estimators.base import RobotEstimator
 from hil.studies.base import silent
 from hil.studies.inverse_fits import COSTS
 from hil.studies.inverse_methods import ROWS, families
-from hil.studies.separation_tasks import Task, run_tasks
+from hil.studies.tasks import Task, run_tasks
 
 SIGN_WIDTH = 0.01
 

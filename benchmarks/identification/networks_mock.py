@@ -27,12 +27,11 @@ from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.dynamics import load_model
 from hil.estimators.base import RobotEstimator
-from hil.studies.dynamic_data import held_out
+from hil.studies.dynamic_methods import held_out
 from hil.studies.inverse_cases import Case, honest_case, recorded
-from hil.studies.inverse_fits import fitted_family
+from hil.studies.inverse_fits import Judged, fitted_family, judged, nothing
 from hil.studies.inverse_methods import ONE_TO_SIX, ROWS, unfitted
-from hil.studies.inverse_score import Judged, judged, nothing
-from hil.studies.separation_tasks import Task
+from hil.studies.tasks import Task
 from hil_mock_robot.plant.truth import draw_truth
 
 ARM = "ur5"

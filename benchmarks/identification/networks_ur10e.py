@@ -25,7 +25,7 @@ from hil.dynamics import load_model
 from hil.estimators.base import RobotEstimator, estimator
 from hil.studies.inverse_fits import fitted_family
 from hil.studies.inverse_methods import DEFAULT_KEYS, ROWS, USUAL_EPOCHS, unfitted
-from hil.studies.separation_tasks import Task
+from hil.studies.tasks import Task
 
 ARM = "ur10e"
 RIGID = ("wls", "ours")

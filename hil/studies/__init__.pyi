@@ -3,7 +3,7 @@ from .base import Ended as Ended
 from .base import Study as Study
 from .base import silent as silent
 from .base import study as study
-from .load_score import UnderLoads as UnderLoads
+from .load_models import UnderLoads as UnderLoads
 from .load_validation import Failed as Failed
 from .load_validation import LoadValidation as LoadValidation
 from .result import Curve as Curve

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, TypeAlias
 
 from hil.core import SpecError, plugins
 from hil.data import Dataset
 from hil.dynamics import RobotModel
-from hil.estimators import Needs, Parametrised, require_known
+from hil.estimators import Needs, Parametrised, choice, require_known
 from hil.studies.result import StudyResult
 
 GROUP = "hil.studies"
@@ -100,3 +100,15 @@ def study(name: str, /, **params: Any) -> Study:
     except (ValueError, TypeError) as error:
         raise SpecError(f"{name}: {error}") from error
     return made
+
+
+def words(name: str, given: Any, known: Sequence[str]) -> list[str]:
+    """Some of the known words, in the order of those.
+
+    Raises:
+        SpecError: It is no list, is empty, or holds another word.
+    """
+    if isinstance(given, str) or not isinstance(given, Sequence) or not given:
+        raise SpecError(f"{name} is {given!r}, but must be a list of {', '.join(known)}")
+    chosen = {choice(name, word, known) for word in given}
+    return [word for word in known if word in chosen]

@@ -13,59 +13,54 @@ from typing import ClassVar
 from hil.core import FitError, cores
 from hil.data import Dataset, SeriesKind
 from hil.dynamics import RobotModel
-from hil.estimators import Needs, flag, number, whole
+from hil.estimators import Needs, flag, number, parameter, whole
 from hil.studies import dynamic_tables as tables
-from hil.studies.base import Progress, Study, silent
-from hil.studies.dynamic_data import NEEDS, trajectories_of
+from hil.studies.base import Progress, Study, silent, words
 from hil.studies.dynamic_drawn import by_protocol, torques
-from hil.studies.dynamic_methods import METHOD_KEYS, METHODS, missing
-from hil.studies.dynamic_protocols import PROTOCOLS, Found, Protocol
-from hil.studies.dynamic_words import LABELS, TEXTS, TITLES, summary
+from hil.studies.dynamic_methods import (
+    METHOD_KEYS,
+    METHODS,
+    NEEDS,
+    PROTOCOLS,
+    Found,
+    Protocol,
+    missing,
+    trajectories_of,
+)
+from hil.studies.dynamic_tables import LABELS, TEXTS, TITLES, summary
 from hil.studies.result import Figure, Part, StudyResult
-from hil.studies.separation_parameters import words
-from hil.studies.separation_tasks import run_tasks
+from hil.studies.tasks import run_tasks
 
 
 class DynamicIdentification(Study):
-    """Torque errors of identified models on Fourier trajectories, as printed and honestly.
-
-    Args:
-        protocols: `paper`, `honest` or both.
-        methods: Keys of `hil.studies.dynamic_methods.METHODS`.
-        splits: How often each protocol's split is drawn.
-        cutoff_hz: Of the zero-phase Butterworth filter of order 5.
-        rate_hz: Samples a fit keeps per second after filtering.
-        sign_width: Of the smooth sign [rad/s], the same for every memoryless method.
-        figures: Whether to draw any.
-        seed: Of the first split; the others follow.
-        jobs: Processes; None: as many as there are cores. The result does not depend on it.
-    """
+    """Torque errors of identified models on Fourier trajectories, as printed and honestly."""
 
     study: ClassVar[str] = "dynamic-identification"
     series_kinds: ClassVar[tuple[tuple[SeriesKind, ...], ...]] = (("trajectory",),)
 
-    def __init__(
-        self,
-        *,
-        protocols: Sequence[str] = tuple(PROTOCOLS),
-        methods: Sequence[str] = METHOD_KEYS,
-        splits: int = 3,
-        cutoff_hz: float = 50.0,
-        rate_hz: float = 125.0,
-        sign_width: float = 0.01,
-        figures: bool = True,
-        seed: int = 0,
-        jobs: int | None = None,
-    ) -> None:
-        self.protocols = words("protocols", protocols, tuple(PROTOCOLS))
-        self.methods = words("methods", methods, METHOD_KEYS)
-        self.splits = whole("splits", splits, at_least=1)
-        self.cutoff_hz = number("cutoff_hz", cutoff_hz, above=0.0)
-        self.rate_hz = number("rate_hz", rate_hz, above=0.0)
-        self.sign_width = number("sign_width", sign_width, at_least=0.0)
-        self.figures = flag("figures", figures)
-        self.seed = whole("seed", seed, at_least=0)
-        self.jobs = None if jobs is None else whole("jobs", jobs, at_least=1)
+    protocols: list[str] = parameter(
+        tuple(PROTOCOLS), words, tuple(PROTOCOLS), doc="`paper`, `honest` or both."
+    )
+    methods: list[str] = parameter(
+        METHOD_KEYS, words, METHOD_KEYS, doc="Keys of `hil.studies.dynamic_methods.METHODS`."
+    )
+    splits: int = parameter(3, whole, at_least=1, doc="How often each protocol's split is drawn.")
+    cutoff_hz: float = parameter(
+        50.0, number, above=0.0, doc="Of the zero-phase Butterworth filter of order 5."
+    )
+    rate_hz: float = parameter(
+        125.0, number, above=0.0, doc="Samples a fit keeps per second after filtering."
+    )
+    sign_width: float = parameter(
+        0.01, number, at_least=0.0,
+        doc="Of the smooth sign [rad/s], the same for every memoryless method.",
+    )  # fmt: skip
+    figures: bool = parameter(True, flag, doc="Whether to draw any.")
+    seed: int = parameter(0, whole, at_least=0, doc="Of the first split; the others follow.")
+    jobs: int | None = parameter(
+        None, whole, at_least=1, optional=True,
+        doc="Processes; None: as many as there are cores. The result does not depend on it.",
+    )  # fmt: skip
 
     def needs(self, robot: RobotModel, *, loaded: bool = False) -> Needs:
         """Return what it cannot do without: three trajectories, and drive gains."""

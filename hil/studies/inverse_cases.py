@@ -1,4 +1,8 @@
-"""What a study of inverse dynamics fits to and judges on, under either protocol."""
+"""What a study of inverse dynamics fits to and judges on, and the noise its errors stand beside.
+
+A `Case` is one protocol with one seed, the same for every method. Beside every error stand two that
+need no model: the noise that the filter leaves in the torque, and repeating the last torque.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.signal import butter, freqz
 
 from hil.arms import Payload
 from hil.core import BoolArray, DataError, FloatArray
@@ -20,12 +25,22 @@ from hil.data import (
     assert_disjoint,
     group_of,
     groups,
+    nyquist_fraction,
+    persistence,
+    persistence_rmse,
     prepare,
+    sample_rate,
     with_part,
 )
 from hil.dynamics import RobotModel
-from hil.studies.dynamic_data import SHARES, Trajectories, held_out, marked, trajectories_of
-from hil.studies.dynamic_protocols import light
+from hil.studies.dynamic_methods import (
+    SHARES,
+    Trajectories,
+    held_out,
+    light,
+    marked,
+    trajectories_of,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,6 +56,30 @@ class Recorded:
     bare: Trajectories
     loaded: Dataset | None
     notes: tuple[str, ...]
+
+
+def recorded(whole: Dataset, robot: RobotModel, cutoff_hz: float, rate_hz: float) -> Recorded:
+    """The trajectories of a run, apart by load, filtered at their own rate.
+
+    Raises:
+        FitError: There are too few trajectories under the first load, or the robot is another.
+        DataError: The cut-off is too high for the recorded rate, or for the samples kept.
+    """
+    data = whole.of_kind("trajectory")
+    first = min((condition.load for condition in data.conditions), default=0)
+    bare = data.select(lambda condition: condition.load == first)
+    trajectories = trajectories_of(bare, robot, cutoff_hz, rate_hz)
+    others = data.select(lambda condition: condition.load != first)
+    loaded = None
+    if others.conditions:
+        loaded = light(marked(prepare(others, trajectories.filters)))
+    lighter = replace(trajectories, data=light(trajectories.data))
+    return Recorded(lighter, loaded, trajectories.notes)
+
+
+def load_names(data: Dataset) -> dict[int, str]:
+    """Name of every load by its number, such as `3 kg`."""
+    return {c.load: f"{c.payload.mass:.4g} kg" for c in data.conditions}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,25 +124,6 @@ class Case:
             )
 
 
-def recorded(whole: Dataset, robot: RobotModel, cutoff_hz: float, rate_hz: float) -> Recorded:
-    """The trajectories of a run, apart by load, filtered at their own rate.
-
-    Raises:
-        FitError: There are too few trajectories under the first load, or the robot is another.
-        DataError: The cut-off is too high for the recorded rate, or for the samples kept.
-    """
-    data = whole.of_kind("trajectory")
-    first = min((condition.load for condition in data.conditions), default=0)
-    bare = data.select(lambda condition: condition.load == first)
-    trajectories = trajectories_of(bare, robot, cutoff_hz, rate_hz)
-    others = data.select(lambda condition: condition.load != first)
-    loaded = None
-    if others.conditions:
-        loaded = light(marked(prepare(others, trajectories.filters)))
-    lighter = replace(trajectories, data=light(trajectories.data))
-    return Recorded(lighter, loaded, trajectories.notes)
-
-
 def honest_case(of: Recorded, seed: int) -> Case:
     """Three of twelve whole trajectories are judged, and nothing else of them is seen."""
     outer = held_out(of.bare, seed)
@@ -139,11 +159,6 @@ def _of_groups(data: Dataset, wanted: set[Group]) -> Dataset | None:
     return found if groups(found, "trajectory") else None
 
 
-def load_names(data: Dataset) -> dict[int, str]:
-    """Name of every load by its number, such as `3 kg`."""
-    return {c.load: f"{c.payload.mass:.4g} kg" for c in data.conditions}
-
-
 def forgotten(data: Dataset) -> Dataset:
     """The same recordings with nobody told about the load."""
     bare = (
@@ -151,3 +166,50 @@ def forgotten(data: Dataset) -> Dataset:
         for condition in data.conditions
     )
     return replace(data, conditions=tuple(bare))
+
+
+FREQUENCIES = 1 << 14
+
+WIDEST = 0.5
+"""Of the band: a cut-off above leaves too little beside it to tell noise from signal."""
+
+
+def white_noise_left(removed: FloatArray, case: Case) -> FloatArray:
+    """(n,) RMS of the noise in the filtered torque, if white noise was filtered.
+
+    NaN where the cut-off leaves less than half of the band above it: signal is then most of that.
+
+    Args:
+        removed: (n,) RMS of what the filter took out.
+        case: Says how it filtered.
+    """
+    rate = sample_rate(case.judge["t"][: case.judge.offsets[1]])
+    settings = case.filters
+    fraction = nyquist_fraction(settings.effort, settings.unit, rate)
+    if fraction > WIDEST:
+        return np.full_like(removed, np.nan)
+    b, a = butter(settings.order, fraction)
+    # Forwards and backwards: the gain is the square of one pass's magnitude.
+    gain = np.abs(freqz(b, a, FREQUENCIES)[1]) ** 2
+    share = np.sqrt(np.mean(gain**2) / np.mean((1.0 - gain) ** 2))
+    return np.asarray(share * removed)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Held:
+    """Torque of a moment ago, repeated.
+
+    Attributes:
+        age_s: How old it mostly is: samples come when they come.
+        error: (n,) what that leaves [N·m].
+    """
+
+    age_s: float
+    error: FloatArray
+
+
+def persistence_of(case: Case, latency_s: float) -> Held:
+    """What taking the newest filtered torque that is `latency_s` old for that of now comes to."""
+    error = persistence_rmse(case.judge, latency_s, "effort_f", case.rows)
+    age = case.judge["t"] - persistence(case.judge, latency_s, "t")
+    return Held(float(np.nanmedian(age[case.rows])), error * case.scale)

@@ -12,67 +12,62 @@ from typing import ClassVar
 from hil.core import FitError, checked_address, cluster, cores
 from hil.data import Dataset, SeriesKind
 from hil.dynamics import RobotModel
-from hil.estimators import MOST_SEED, Needs, flag, number, whole
+from hil.estimators import MOST_SEED, Needs, flag, number, parameter, whole
 from hil.studies import inverse_drawn as drawn
 from hil.studies import inverse_tables as tables
-from hil.studies.base import Progress, Study, silent
-from hil.studies.dynamic_data import NEEDS
+from hil.studies.base import Progress, Study, silent, words
+from hil.studies.dynamic_methods import NEEDS
 from hil.studies.inverse_cases import CASES, load_names, recorded
-from hil.studies.inverse_fits import extras_of, family_task, missing
-from hil.studies.inverse_found import Found, Seen, gathered
-from hil.studies.inverse_methods import DEFAULT_KEYS, ROW_KEYS, ROWS, families
-from hil.studies.inverse_words import LABELS, LEFT_OUT, TEXTS, TITLES, summary
+from hil.studies.inverse_fits import Found, Seen, family_task, gathered
+from hil.studies.inverse_methods import DEFAULT_KEYS, ROW_KEYS, ROWS, extras_of, families, missing
+from hil.studies.inverse_tables import LABELS, LEFT_OUT, TEXTS, TITLES, summary
 from hil.studies.result import Figure, Part, StudyResult, Table
-from hil.studies.separation_parameters import words
-from hil.studies.separation_tasks import run_tasks
+from hil.studies.tasks import run_tasks
 
 
 class InverseDynamics(Study):
-    """Torque errors of identified and learned models on Fourier trajectories.
-
-    Args:
-        protocols: `paper`, `honest` or both.
-        methods: Keys of `hil.studies.inverse_methods.ROWS`.
-        seeds: How often each split is drawn and every network trained.
-        seed: The first; the others follow.
-        effort: Share of the usual epochs that networks are trained for; below 1 to try out.
-        cutoff_hz: Of the zero-phase Butterworth filter of order 5.
-        rate_hz: Samples a fit keeps per second after filtering; residual networks keep all.
-        sign_width: Of the smooth sign [rad/s], the same for every memoryless method.
-        figures: Whether to draw any.
-        jobs: Processes; None: as many as there are cores. The result does not depend on it.
-        dask: Address of a Dask scheduler whose workers compute in their place.
-    """
+    """Torque errors of identified and learned models on Fourier trajectories."""
 
     study: ClassVar[str] = "inverse-dynamics"
     series_kinds: ClassVar[tuple[tuple[SeriesKind, ...], ...]] = (("trajectory",),)
 
-    def __init__(
-        self,
-        *,
-        protocols: Sequence[str] = tuple(CASES),
-        methods: Sequence[str] = DEFAULT_KEYS,
-        seeds: int = 3,
-        seed: int = 0,
-        effort: float = 1.0,
-        cutoff_hz: float = 50.0,
-        rate_hz: float = 125.0,
-        sign_width: float = 0.01,
-        figures: bool = True,
-        jobs: int | None = None,
-        dask: str | None = None,
-    ) -> None:
-        self.protocols = words("protocols", protocols, tuple(CASES))
-        self.methods = words("methods", methods, ROW_KEYS)
-        self.seeds = whole("seeds", seeds, at_least=1, at_most=1000)
-        self.seed = whole("seed", seed, at_least=0, at_most=MOST_SEED - 1000)
-        self.effort = number("effort", effort, above=0.0, at_most=1000.0)
-        self.cutoff_hz = number("cutoff_hz", cutoff_hz, above=0.0)
-        self.rate_hz = number("rate_hz", rate_hz, above=0.0)
-        self.sign_width = number("sign_width", sign_width, at_least=0.0)
-        self.figures = flag("figures", figures)
-        self.jobs = None if jobs is None else whole("jobs", jobs, at_least=1, at_most=4096)
-        self.dask = checked_address("dask", dask)
+    protocols: list[str] = parameter(
+        tuple(CASES), words, tuple(CASES), doc="`paper`, `honest` or both."
+    )
+    methods: list[str] = parameter(
+        DEFAULT_KEYS, words, ROW_KEYS, doc="Keys of `hil.studies.inverse_methods.ROWS`."
+    )
+    seeds: int = parameter(
+        3, whole, at_least=1, at_most=1000,
+        doc="How often each split is drawn and every network trained.",
+    )  # fmt: skip
+    seed: int = parameter(
+        0, whole, at_least=0, at_most=MOST_SEED - 1000, doc="The first; the others follow."
+    )
+    effort: float = parameter(
+        1.0, number, above=0.0, at_most=1000.0,
+        doc="Share of the usual epochs that networks are trained for; below 1 to try out.",
+    )  # fmt: skip
+    cutoff_hz: float = parameter(
+        50.0, number, above=0.0, doc="Of the zero-phase Butterworth filter of order 5."
+    )
+    rate_hz: float = parameter(
+        125.0, number, above=0.0,
+        doc="Samples a fit keeps per second after filtering; residual networks keep all.",
+    )  # fmt: skip
+    sign_width: float = parameter(
+        0.01, number, at_least=0.0,
+        doc="Of the smooth sign [rad/s], the same for every memoryless method.",
+    )  # fmt: skip
+    figures: bool = parameter(True, flag, doc="Whether to draw any.")
+    jobs: int | None = parameter(
+        None, whole, at_least=1, at_most=4096, optional=True,
+        doc="Processes; None: as many as there are cores. The result does not depend on it.",
+    )  # fmt: skip
+    dask: str | None = parameter(
+        None, checked_address,
+        doc="Address of a Dask scheduler whose workers compute in their place.",
+    )  # fmt: skip
 
     def extras(self) -> dict[str, str]:
         """What the estimators of its rows need: a table without them is not what was asked for."""

@@ -1,4 +1,7 @@
-"""The rows of the PINN paper's Table II, and ours: which estimator, on what, from which inputs."""
+"""The rows of the PINN paper's Table II, and ours: which estimator, on what, from which inputs.
+
+A row either has a model of its own or corrects the model of another row (`families`).
+"""
 
 from __future__ import annotations
 
@@ -6,8 +9,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from hil.core import plugins
 from hil.data import FilterSettings
-from hil.estimators import RobotEstimator, estimator
+from hil.estimators import GROUP, RobotEstimator, estimator
 from hil.networks import LAGRANGIAN_CHOICES, TRAINING, ResidualSettings
 from hil.studies.dynamic_methods import METHODS as CLASSICAL
 
@@ -65,16 +69,16 @@ class Row:
         return f"{self.words} until {1e3 * lag / rate_hz:.3g} ms before"
 
 
-def _classical(key: str) -> Row:
+def _classical_row(key: str) -> Row:
     known = CLASSICAL[key]
     return Row(key, known.words, known.estimator, known.params)
 
 
-def _network(key: str, words: str, **params: Any) -> Row:
+def _network_row(key: str, words: str, **params: Any) -> Row:
     return Row(key, words, NETWORK, params)
 
 
-def _corrected(key: str, words: str, **params: Any) -> Row:
+def _correction_row(key: str, words: str, **params: Any) -> Row:
     """A network on the Proposed one, kept wherever it does no harm to the rows it stops by."""
     torque = params["inputs"] if params["inputs"] != "motion" else ""
     kept = {**params, "margin": 0.0}
@@ -84,38 +88,53 @@ def _corrected(key: str, words: str, **params: Any) -> Row:
 ROWS = {
     row.key: row
     for row in (
-        *(_classical(key) for key in ("wls", "lmi", "irls")),
-        _network("delan", "Method 4: DeLaN", friction="none", learning="joint"),
-        _network(
+        *(_classical_row(key) for key in ("wls", "lmi", "irls")),
+        _network_row("delan", "Method 4: DeLaN", friction="none", learning="joint"),
+        _network_row(
             "delan-unconstrained", "Method 5: DeLaN, network of (q, qd) as published",
             friction="unconstrained", learning="joint",
         ),
-        _network(
+        _network_row(
             "delan-dissipative", "Method 5: DeLaN, dissipative network",
             friction="dissipative", learning="joint",
         ),
-        _network(
+        _network_row(
             "delan-coulomb", "Method 6: DeLaN, Coulomb and viscous friction",
             friction="coulomb", learning="joint",
         ),
-        _network("proposed", "Proposed: DeLaN, Stribeck, hybrid", friction="stribeck"),
-        _network("proposed-joint", "Proposed, joint learning only",
-                 friction="stribeck", learning="joint"),
-        _network(LITERAL, "Proposed, settings as printed", friction="stribeck", protocol="paper",
-                 training={"epochs": USUAL_EPOCHS[NETWORK]}),
-        _network("proposed-memory", "Proposed, friction with memory",
-                 friction="stribeck", direction="dahl"),
-        _corrected("rc-paper", "Proposed with RC, measured torque (as in the paper)",
-                   inputs="measured", layout="joint"),
-        _corrected("rc-history", "Proposed with RC, torque history",
-                   inputs="history", layout="joint", latency_s=LATENCY_S),
-        _corrected("rc-motion", "Proposed with RC, no torque", inputs="motion", layout="joint"),
-        _corrected("rc-grouped", "Proposed with RC, no torque, joint by joint",
-                   inputs="motion", layout="grouped"),
+        _network_row("proposed", "Proposed: DeLaN, Stribeck, hybrid", friction="stribeck"),
+        _network_row(
+            "proposed-joint", "Proposed, joint learning only",
+            friction="stribeck", learning="joint",
+        ),
+        _network_row(
+            LITERAL, "Proposed, settings as printed",
+            friction="stribeck", protocol="paper", training={"epochs": USUAL_EPOCHS[NETWORK]},
+        ),
+        _network_row(
+            "proposed-memory", "Proposed, friction with memory",
+            friction="stribeck", direction="dahl",
+        ),
+        _correction_row(
+            "rc-paper", "Proposed with RC, measured torque (as in the paper)",
+            inputs="measured", layout="joint",
+        ),
+        _correction_row(
+            "rc-history", "Proposed with RC, torque history",
+            inputs="history", layout="joint", latency_s=LATENCY_S,
+        ),
+        _correction_row(
+            "rc-motion", "Proposed with RC, no torque", inputs="motion", layout="joint"
+        ),
+        _correction_row(
+            "rc-grouped", "Proposed with RC, no torque, joint by joint",
+            inputs="motion", layout="grouped",
+        ),
         Row("ours", "ours: friction with memory", OURS, sign=False),
         Row("ours-residual", "ours, with a residual network", RESIDUAL, on="ours", sign=False),
     )
 }  # fmt: skip
+
 ROW_KEYS = tuple(ROWS)
 
 DEFAULT_KEYS = tuple(key for key in ROW_KEYS if key != LITERAL)
@@ -138,6 +157,29 @@ def families(chosen: Sequence[str]) -> dict[str, tuple[str, ...]]:
         root = ROWS[key].on or key
         found[root] = (*found.get(root, ()), key)
     return found
+
+
+def missing(row: Row) -> str:
+    """Name of an estimator that the row needs and no distribution has here; empty if all are."""
+    needed = [row.estimator, *([ROWS[row.on].estimator] if row.on else [])]
+    known = plugins.names(GROUP)
+    return next((name for name in needed if name not in known), "")
+
+
+def extras_of(keys: Sequence[str]) -> dict[str, str]:
+    """Extras that rows need, with these rows and those that do without (`Study.extras`)."""
+    needing: dict[str, list[str]] = {}
+    for key in (key for key in keys if not missing(ROWS[key])):
+        rows = [ROWS[one] for one in (key, ROWS[key].on) if one]
+        for extra in {e for row in rows for e in estimator(row.estimator, **row.params).extras()}:
+            needing.setdefault(extra, []).append(key)
+    return {extra: _for_rows(of, keys) for extra, of in needing.items()}
+
+
+def _for_rows(needing: Sequence[str], keys: Sequence[str]) -> str:
+    others = [key for key in keys if key not in needing]
+    without = f"; methods: [{', '.join(others)}] do without" if others else ""
+    return f"for its rows {', '.join(needing)}{without}"
 
 
 def unfitted(

@@ -1,4 +1,4 @@
-"""Tables and figures of a study of loads."""
+"""Tables, figures and sentences of a study of loads."""
 
 from __future__ import annotations
 
@@ -6,13 +6,31 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from hil.estimators import NAMES, true_values
-from hil.studies.load_score import TOLD, Scored, UnderLoads
+from hil.core import HilError
+from hil.estimators import NAMES, Declaration, true_values
+from hil.studies.load_models import TOLD, Scored, UnderLoads
 from hil.studies.result import Curve, Figure, Panel, Table, Value
-from hil.studies.separation_text import joint_titles, mean_of, value, values, with_mean
+from hil.studies.separation_text import joint_titles, listed, mean_of, value, values, with_mean
 
 FIRST_INERTIA = 4
 """Where inertias begin in `NAMES`."""
+
+_WAYS = {
+    "unaware": "the model is not told that anything is mounted",
+    "declared": "it is told the load of the spec",
+    "calibrated": "the same, with the drive gains that the other loads tell",
+    "identified": "it is told the load that other motions with it show",
+}
+
+WAYS = ". ".join(f"{told.capitalize()}: {_WAYS[told]}" for told in TOLD if told in _WAYS) + "."
+"""One line on what a model may be told."""
+
+TORQUES = (
+    "In N·m, so that joints compare: where currents were measured, they are multiplied by the "
+    "drive gains."
+)
+
+_ERRORS_NOTE = f"Against the filtered torque. {WAYS} {TORQUES}"
 
 
 def errors(found: Sequence[UnderLoads]) -> Table:
@@ -35,21 +53,11 @@ def _by_load(found: Sequence[UnderLoads]) -> Iterator[tuple[UnderLoads, Scored]]
         yield from zip(found, each, strict=True)
 
 
-_WAYS = {
-    "unaware": "the model is not told that anything is mounted",
-    "declared": "it is told the load of the spec",
-    "calibrated": "the same, with the drive gains that the other loads tell",
-    "identified": "it is told the load that other motions with it show",
-}
-WAYS = ". ".join(f"{told.capitalize()}: {_WAYS[told]}" for told in TOLD if told in _WAYS) + "."
-"""One line on what a model may be told."""
-
-TORQUES = (
-    "In N·m, so that joints compare: where currents were measured, they are multiplied by the "
-    "drive gains."
+_CHECK_NOTE = (
+    "A turned tool would show: its centre of mass is far enough beside the flange's axis; where it "
+    "is not, the angle at which it is mounted cannot be checked. Used to correct gains: this load "
+    "agrees with the others, so that together they tell how far the drive gains are off."
 )
-
-_ERRORS_NOTE = f"Against the filtered torque. {WAYS} {TORQUES}"
 
 
 def declarations(model: UnderLoads) -> Table:
@@ -60,13 +68,6 @@ def declarations(model: UnderLoads) -> Table:
     )  # fmt: skip
     title = f"Declared loads, checked by {model.name}"
     return Table("table-declarations", title, columns, tuple(rows), _CHECK_NOTE)
-
-
-_CHECK_NOTE = (
-    "A turned tool would show: its centre of mass is far enough beside the flange's axis; where it "
-    "is not, the angle at which it is mounted cannot be checked. Used to correct gains: this load "
-    "agrees with the others, so that together they tell how far the drive gains are off."
-)
 
 
 def _verdict(one: Scored) -> tuple[Value, ...]:
@@ -80,6 +81,19 @@ def _verdict(one: Scored) -> tuple[Value, ...]:
 
 def _yes(true: bool) -> str:
     return "yes" if true else "no"
+
+
+_IDENTIFIED_NOTE = (
+    "Declared: in the spec. Identified: from the motions with the load, with drive gains as the "
+    "other loads tell them. Difference: identified less declared. Allowed: a larger difference "
+    "contradicts the declaration."
+)
+
+_WEIGHED_NOTE = (
+    "The weighing before the motions measures the same mass from a few poses at rest, and its ± is "
+    "one standard deviation. What is allowed here is almost four; both include what the drive "
+    "gains may have wrong, which no repetition shows."
+)
 
 
 def identified(model: UnderLoads) -> tuple[Table, ...]:
@@ -96,17 +110,6 @@ def identified(model: UnderLoads) -> tuple[Table, ...]:
         if (rows := tuple(row for one in model.loads for row in _quantities(one, which, scale)))
     )
 
-
-_IDENTIFIED_NOTE = (
-    "Declared: in the spec. Identified: from the motions with the load, with drive gains as the "
-    "other loads tell them. Difference: identified less declared. Allowed: a larger difference "
-    "contradicts the declaration."
-)
-_WEIGHED_NOTE = (
-    "The weighing before the motions measures the same mass from a few poses at rest, and its ± is "
-    "one standard deviation. What is allowed here is almost four; both include what the drive "
-    "gains may have wrong, which no repetition shows."
-)
 
 _AXES = ("", "x", "y", "z", *(name[1:] for name in NAMES[4:]))
 
@@ -149,20 +152,6 @@ def _by_what_is_told(found: Sequence[UnderLoads]) -> Figure:
     return Figure("fig-load-errors", "Errors under loads", caption, panels, 2)
 
 
-def _by_joint(found: Sequence[UnderLoads]) -> Figure:
-    several = len(found) > 1
-    curves: list[_Bars] = (
-        [(model.name, model, "declared") for model in found]
-        if several
-        else [(told, found[0], told) for told in TOLD]
-    )
-    n = len(found[0].loads[0].errors["unaware"])
-    panels = tuple(_panel(title, curves, j) for j, title in enumerate(joint_titles(n)))
-    told = "told of the load as the spec declares it" if several else "told and not told"
-    caption = f"RMSE on motions held out, {told}. Every joint has its own scale."
-    return Figure("fig-load-joints", "Errors under loads by joint", caption, panels, 2)
-
-
 _Bars = tuple[str, UnderLoads, str]
 """Name in the legend, the model, and what it is told."""
 
@@ -188,6 +177,169 @@ def _height(one: Scored, told: str, joint: int | None) -> float:
     return float(mean_of(error) if joint is None else error[joint])
 
 
+def _by_joint(found: Sequence[UnderLoads]) -> Figure:
+    several = len(found) > 1
+    curves: list[_Bars] = (
+        [(model.name, model, "declared") for model in found]
+        if several
+        else [(told, found[0], told) for told in TOLD]
+    )
+    n = len(found[0].loads[0].errors["unaware"])
+    panels = tuple(_panel(title, curves, j) for j, title in enumerate(joint_titles(n)))
+    told = "told of the load as the spec declares it" if several else "told and not told"
+    caption = f"RMSE on motions held out, {told}. Every joint has its own scale."
+    return Figure("fig-load-joints", "Errors under loads by joint", caption, panels, 2)
+
+
 def average(one: Scored, told: str) -> float | None:
     """Mean over the joints; None where there is none."""
     return value(_height(one, told, None))
+
+
+ALIKE = 1.5
+"""Errors of masses that differ by no more than this factor are one error, made with every load."""
+
+BEYOND = 0.5
+"""Share of its limit from which an error that all loads share is worth a word."""
+
+ABOVE = 1.25
+"""Times by which an error told of a load as declared is above that as identified, to be told."""
+
+TEXT = (
+    "Models were fitted to the first load alone. Motions are held out under every load, and each "
+    "load is identified from the other motions with it. Every motion is judged once, by a model "
+    "fitted to the others, and errors are over all of them. Every model identifies loads for "
+    "itself; the first, as fitted without the first motions that were judged, checks the "
+    "declarations.",
+    "A declaration is contradicted where the identified load is further from it than noise, drive "
+    "gains and the model's own errors explain. A joint whose gain is really larger makes every "
+    "load too light: the loads that agree with one another tell by how much. With a single load, "
+    "a wrong mass and wrong gains look alike, and limits are wider.",
+)
+
+
+def title(found: Sequence[UnderLoads], models: Sequence[str]) -> str:
+    """Which models the study is of: those of the run, stored elsewhere, or its own fits."""
+    names = listed([one.name for one in found])
+    if not models:
+        return f"Under loads: {names}, fitted for this study, and the loads as declared"
+    if all(model.startswith("fit/") for model in models):
+        return f"Under loads: {names}, models of this run, and the loads as declared"
+    return f"Under loads: {names}, stored in {listed(models)}, and the loads as declared"
+
+
+def summary(found: Sequence[UnderLoads], false_alarm: float) -> tuple[str, ...]:
+    """What to take away."""
+    return (*_wrong(found[0].loads, false_alarm), *(_worst(model) for model in found))
+
+
+def _wrong(found: Sequence[Scored], false_alarm: float) -> Iterator[str]:
+    checked = [(one, one.check) for one in found if one.check]
+    wrong = [(one, check) for one, check in checked if not check.agrees]
+    for one, check in wrong:
+        yield f"{one.case.name}: {'; '.join(finding.text for finding in check.findings)}."
+    rest = f"Of correct ones at most {100 * false_alarm:.2g} % would be called wrong."
+    if len(checked) == 1 and not wrong:
+        yield f"The declared load agrees with the one identified. {rest}"
+    elif checked and not wrong:
+        yield f"All {len(checked)} declared loads agree with those identified. {rest}"
+    elif checked:
+        are = "is" if len(wrong) == 1 else "are"
+        yield f"{len(wrong)} of {len(checked)} declared loads {are} contradicted. {rest}"
+    if checked:
+        limits = [f"{check.limit[0]:.2f} kg ({one.case.name})" for one, check in checked]
+        yield f"Masses wrong by less than this would not have been flagged: {listed(limits)}."
+
+
+def _worst(model: UnderLoads) -> str:
+    bare, (worst, ratio) = model.loads[0], model.worst()
+    least, most = model.spread()
+    several = f", {least:.2f} to {most:.2f} by which motions are held out"
+    spread = several if len(model.folds) > 1 else ""
+    words = {"declared": f"declared ({ratio:.2f} times that of {bare.case.name}{spread})"}
+    each = [(words.get(told, told), average(worst, told)) for told in TOLD]
+    figures = [f"{number:.3g} N·m {told}" for told, number in each if number is not None]
+    return (
+        f"{model.name}, mean over the joints: {mean_of(bare.errors['declared']):.3g} N·m with "
+        f"{bare.case.name}; at worst, with {worst.case.name}, {listed(figures)}."
+    )
+
+
+def warnings(
+    found: Sequence[UnderLoads], unfitted: Sequence[tuple[str, HilError]]
+) -> tuple[str, ...]:
+    """What could not be told."""
+    checked = [(one, one.check) for one in found[0].loads if one.check]
+    told = [f"{name}: {error.message}" for name, error in unfitted]
+    told += [
+        f"{one.case.name}, {model.name}: not identified: {one.failed}"
+        for model in found
+        for one in model.loads
+        if one.failed
+    ]
+    told += _once(found)
+    told += [_hidden(one, check) for one, check in checked if _on_axis(check)]
+    agree = all(check.agrees for _, check in checked)
+    if len(checked) == 1:
+        told.append(
+            "a single load: nothing else tells drive gains, so that a mass that is wrong by what "
+            "they may be off cannot be told from them; record a second and a third"
+        )
+    if len(checked) == 2 and not agree:
+        told.append("two loads contradict each other: which is wrong is a guess; record a third")
+    told += _shared(checked) if agree else ()
+    return (*told, *_above(found[0]))
+
+
+def _once(found: Sequence[UnderLoads]) -> Iterator[str]:
+    most = max(len(model.folds) for model in found)
+    few = [model.name for model in found if len(model.folds) < most]
+    if few:
+        yield (
+            f"{listed(few)}: judged on the first motions held out alone, the others on all: their "
+            "figures are of different motions"
+        )
+
+
+def _hidden(one: Scored, check: Declaration) -> str:
+    reach = 1e3 * float(np.max(check.limit[1:3]))
+    return (
+        f"{one.case.name}: the centre of mass cannot be told from the flange's axis "
+        f"(±{reach:.0f} mm), so that the angle at which it is mounted cannot be observed"
+    )
+
+
+def _on_axis(check: Declaration) -> bool:
+    return not (check.mount_observable or check.declared.is_empty)
+
+
+def _shared(checked: Sequence[tuple[Scored, Declaration]]) -> Iterator[str]:
+    """All loads off by the same mass: each alone within its limit, together hardly by chance."""
+    if len(checked) < 2:
+        return
+    off = np.array([check.found[0] - check.declared.mass for _, check in checked])
+    share = np.abs(off) / [check.limit[0] for _, check in checked]
+    sizes = np.abs(off)
+    if (
+        np.ptp(np.sign(off)) == 0
+        and np.max(sizes) <= ALIKE * np.min(sizes)
+        and np.all(share > BEYOND / len(checked))
+        and np.max(share) > BEYOND
+    ):
+        more = "heavier" if off[0] > 0 else "lighter"
+        yield (
+            f"every load is found {np.min(sizes):.2f} to {np.max(sizes):.2f} kg {more} than "
+            "declared: an adapter that nobody declared, or a first load that is not what it says"
+        )
+
+
+def _above(model: UnderLoads) -> Iterator[str]:
+    """Loads told of as declared that err much more than as identified."""
+    for one in model.loads:
+        declared, identified = average(one, "declared"), average(one, "identified")
+        if declared and identified and declared > ABOVE * identified:
+            yield (
+                f"{one.case.name}, {model.name}: as declared it errs {declared / identified:.2f} "
+                "times as much as identified: drive gains or the declaration may be off, by less "
+                "than its limits"
+            )

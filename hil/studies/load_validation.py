@@ -15,15 +15,34 @@ from typing import Any, ClassVar, Literal
 from hil.core import HilError, SpecError
 from hil.data import Dataset, SeriesKind
 from hil.dynamics import RobotModel
-from hil.estimators import FALSE_ALARM, HONEST, Friction, Needs, choice, flag, number, whole
+from hil.estimators import (
+    FALSE_ALARM,
+    HONEST,
+    Friction,
+    Needs,
+    choice,
+    flag,
+    number,
+    parameter,
+    whole,
+)
 from hil.studies import load_tables as tables
 from hil.studies.base import Progress, Study, silent
-from hil.studies.dynamic_data import NEEDS, highest_cutoff
+from hil.studies.dynamic_methods import NEEDS, highest_cutoff
 from hil.studies.inverse_cases import Recorded, recorded
-from hil.studies.load_cases import load_cases
-from hil.studies.load_models import Candidate, Entry, Fold, fresh, made, stored
-from hil.studies.load_score import Scored, UnderLoads, judged
-from hil.studies.load_words import TEXT, summary, title, warnings
+from hil.studies.load_models import (
+    Candidate,
+    Entry,
+    Fold,
+    Scored,
+    UnderLoads,
+    estimator_of,
+    fresh_models,
+    judged,
+    load_cases,
+    stored_models,
+)
+from hil.studies.load_tables import TEXT, summary, title, warnings
 from hil.studies.result import Part, StudyResult
 
 HIGHEST_HZ = 50.0
@@ -35,55 +54,76 @@ Failed = tuple[str, HilError]
 """Name of an estimator, and why there is nothing of it."""
 
 
-class LoadValidation(Study):
-    """Errors under loads: unaware, declared, calibrated and identified; declarations checked.
+def _entries(name: str, given: Any) -> tuple[Entry, ...]:
+    several = list(given) if isinstance(given, list | tuple) else [given]
+    named = [one.get("estimator") if isinstance(one, Mapping) else one for one in several]
+    if not isinstance(given, list | tuple) or not all(isinstance(one, str) for one in named):
+        raise SpecError(
+            f"{name} is {given!r}, but must be a list of names, or of mappings with one",
+            hint=f"{name}: [first, {{estimator: second}}]",
+        )
+    _names(name, [one for one in several if isinstance(one, str)])
+    return tuple(one if isinstance(one, str) else dict(one) for one in several)
 
-    Args:
-        estimators: Fitted to the first load; the first of them checks the declarations. Names, or
-            mappings with parameters as in `fit` of a spec.
-        models: Folders of fitted models to take in their place; of a run, relative to it.
-        hold_out: How many motions are judged at a time, by models fitted to the others; by default
-            a quarter of them, or those that `models` of the run have not seen.
-        friction: What of its friction may be another under a load, as in `estimate_payload`.
-        false_alarm: Probability with which a correct declaration may be called wrong.
-        cutoff_hz: Of the zero-phase Butterworth filter of order 5 for what is judged; by default
-            50 Hz, or as high as the recording allows. Fits filter as they always do.
-        rate_hz: Samples kept per second after filtering to identify loads from.
-        figures: Whether to draw any.
-    """
+
+def _names(name: str, given: Any) -> tuple[str, ...]:
+    several = isinstance(given, list | tuple)
+    if not several or not all(isinstance(word, str) and word for word in given):
+        raise SpecError(
+            f"{name} is {given!r}, but must be a list of names", hint=f"{name}: [first, second]"
+        )
+    if len(set(given)) < len(given):
+        raise SpecError(f"{name} has {given!r}, of which one is there twice")
+    return tuple(given)
+
+
+class LoadValidation(Study):
+    """Errors under loads: unaware, declared, calibrated and identified; declarations checked."""
 
     study: ClassVar[str] = "load-validation"
     series_kinds: ClassVar[tuple[tuple[SeriesKind, ...], ...]] = (("trajectory",),)
 
-    def __init__(
-        self,
-        *,
-        estimators: Sequence[Entry] = ("rigid-hysteresis",),
-        models: Sequence[str] = (),
-        hold_out: int | None = None,
-        friction: Friction | Literal["auto"] = "auto",
-        false_alarm: float = FALSE_ALARM,
-        cutoff_hz: float | None = None,
-        rate_hz: float = 125.0,
-        figures: bool = True,
-    ) -> None:
-        self.estimators = _entries(estimators)
-        self.models = _words("models", models)
+    estimators: tuple[Entry, ...] = parameter(
+        ("rigid-hysteresis",), _entries,
+        doc="Fitted to the first load; the first of them checks the declarations. Names, or "
+        "mappings with parameters as in `fit` of a spec.",
+    )  # fmt: skip
+    models: tuple[str, ...] = parameter(
+        (), _names,
+        doc="Folders of fitted models to take in their place; of a run, relative to it.",
+    )  # fmt: skip
+    hold_out: int | None = parameter(
+        None, whole, at_least=1, optional=True,
+        doc="How many motions are judged at a time, by models fitted to the others; by default a "
+        "quarter of them, or those that `models` of the run have not seen.",
+    )  # fmt: skip
+    friction: Friction | Literal["auto"] = parameter(
+        "auto", choice, FRICTIONS,
+        doc="What of its friction may be another under a load, as in `estimate_payload`.",
+    )  # fmt: skip
+    false_alarm: float = parameter(
+        FALSE_ALARM, number, above=0.0, at_most=0.5,
+        doc="Probability with which a correct declaration may be called wrong.",
+    )  # fmt: skip
+    cutoff_hz: float | None = parameter(
+        None, number, above=0.0, optional=True,
+        doc="Of the zero-phase Butterworth filter of order 5 for what is judged; by default 50 Hz, "
+        "or as high as the recording allows. Fits filter as they always do.",
+    )  # fmt: skip
+    rate_hz: float = parameter(
+        125.0, number, above=0.0,
+        doc="Samples kept per second after filtering to identify loads from.",
+    )  # fmt: skip
+    figures: bool = parameter(True, flag, doc="Whether to draw any.")
+
+    def _check_together(self) -> None:
         if not (self.estimators or self.models):
             raise SpecError("estimators is empty", hint="name at least one, or a fitted model")
-        told = hold_out is not None
-        self.hold_out = whole("hold_out", hold_out, at_least=1) if told else None
-        self.friction = choice("friction", friction, FRICTIONS)
-        self.false_alarm = number("false_alarm", false_alarm, above=0.0, at_most=0.5)
-        known = cutoff_hz is not None
-        self.cutoff_hz = number("cutoff_hz", cutoff_hz, above=0.0) if known else None
-        self.rate_hz = number("rate_hz", rate_hz, above=0.0)
-        self.figures = flag("figures", figures)
 
     def extras(self) -> Mapping[str, str]:
         """What its estimators need."""
         fitted = () if self.models else self.estimators
-        return {key: why for one in fitted for key, why in made(one).extras().items()}
+        return {key: why for one in fitted for key, why in estimator_of(one).extras().items()}
 
     def needs(self, robot: RobotModel, *, loaded: bool = False) -> Needs:
         """Return what it cannot do without: three trajectories, and drive gains."""
@@ -134,8 +174,8 @@ class LoadValidation(Study):
     ) -> tuple[Candidate, ...]:
         if self.models:
             places = [Path(model) for model in self.models]
-            return stored(places, dataset, of, robot, self.hold_out)
-        return fresh(self.estimators, dataset, of, robot, self.hold_out)
+            return stored_models(places, dataset, of, robot, self.hold_out)
+        return fresh_models(self.estimators, dataset, of, robot, self.hold_out)
 
     def _cutoff(self, dataset: Dataset) -> float:
         data = dataset.of_kind("trajectory")
@@ -164,26 +204,3 @@ class LoadValidation(Study):
         model, cases = one.fitted(fold), load_cases(of, fold)
         scale = of.bare.scale
         return model.protocol, judged(model, cases, scale, self.friction, self.false_alarm)
-
-
-def _entries(given: Any) -> tuple[Entry, ...]:
-    several = list(given) if isinstance(given, list | tuple) else [given]
-    named = [one.get("estimator") if isinstance(one, Mapping) else one for one in several]
-    if not isinstance(given, list | tuple) or not all(isinstance(one, str) for one in named):
-        raise SpecError(
-            f"estimators is {given!r}, but must be a list of names, or of mappings with one",
-            hint="estimators: [first, {estimator: second}]",
-        )
-    _words("estimators", [one for one in several if isinstance(one, str)])
-    return tuple(one if isinstance(one, str) else dict(one) for one in several)
-
-
-def _words(name: str, given: Any) -> tuple[str, ...]:
-    several = isinstance(given, list | tuple)
-    if not several or not all(isinstance(word, str) and word for word in given):
-        raise SpecError(
-            f"{name} is {given!r}, but must be a list of names", hint=f"{name}: [first, second]"
-        )
-    if len(set(given)) < len(given):
-        raise SpecError(f"{name} has {given!r}, of which one is there twice")
-    return tuple(given)

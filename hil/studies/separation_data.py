@@ -1,4 +1,8 @@
-"""What a separation study takes from a run: its dwells, the noise in them, and who is paired."""
+"""What a separation study takes from a run: its dwells, the noise in them, and who is paired.
+
+`recording_of` leaves out what cannot be used and says so. `by_sample` splits the samples as the
+paper does, `by_pose` gives the same shares of whole poses.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +12,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hil.core import FloatArray, IntArray
-from hil.data import SAMPLES_PER_DWELL, Conditions, Dataset, dwells_of, group_of, series_means
+from hil.data import (
+    SAMPLES_PER_DWELL,
+    Conditions,
+    Dataset,
+    dwells_of,
+    group_of,
+    paper_sample_split,
+    series_means,
+    split,
+)
 from hil.dynamics import RobotModel
 from hil.estimators import STILL_RAD, Needs, require_robot, scatter
 
@@ -16,6 +29,7 @@ NEEDS = Needs({"poses": 4})
 """Two to fit on and two to judge on; what each model needs it states itself."""
 
 DWELL = "dwell_number"
+
 ROW = "row_number"
 """Columns by which rows are found again after a split."""
 
@@ -53,6 +67,34 @@ def recording_of(whole: Dataset, robot: RobotModel) -> Recording:
         notes.append(f"{unsettled} dwells that never came to rest are left out")
     notes += [*_short(dwells), *_still(dwells)]
     return Recording(whole, numbered(dwells), robot, tuple(notes))
+
+
+def _finite(dwells: Dataset) -> tuple[Dataset, list[str]]:
+    """The dwells all of whose samples are numbers."""
+    sound = np.isfinite(dwells["q"]).all(axis=1) & np.isfinite(dwells["effort"]).all(axis=1)
+    bad = set(dwells.series_index()[~sound].tolist())
+    if not bad:
+        return dwells, []
+    kept = {id(c) for number, c in enumerate(dwells.conditions) if number not in bad}
+    note = f"{len(bad)} dwells hold NaN or infinite positions or efforts and are left out"
+    return dwells.select(lambda condition: id(condition) in kept), [note]
+
+
+def _short(dwells: Dataset) -> list[str]:
+    counts = np.diff(dwells.offsets)
+    short = counts[counts < SAMPLES_PER_DWELL]
+    if not len(short):
+        return []
+    return [
+        f"{len(short)} of {len(counts)} dwells have fewer than {SAMPLES_PER_DWELL} samples (the "
+        f"shortest {short.min()}); each is used as it is"
+    ]
+
+
+def _still(dwells: Dataset) -> list[str]:
+    span = np.ptp(dwells["q"], axis=0)
+    still = [name for name, s in zip(dwells.joint_names, span, strict=True) if s < STILL_RAD]
+    return [f"{', '.join(still)} never moved: nothing is learned about it"] if still else []
 
 
 def numbered(dwells: Dataset) -> Dataset:
@@ -115,36 +157,45 @@ def mean_noise(dwells: Dataset) -> FloatArray:
     return np.asarray(sample_noise(dwells) * np.sqrt(np.mean(1.0 / np.maximum(count, 1))))
 
 
-def _finite(dwells: Dataset) -> tuple[Dataset, list[str]]:
-    """The dwells all of whose samples are numbers."""
-    sound = np.isfinite(dwells["q"]).all(axis=1) & np.isfinite(dwells["effort"]).all(axis=1)
-    bad = set(dwells.series_index()[~sound].tolist())
-    if not bad:
-        return dwells, []
-    kept = {id(c) for number, c in enumerate(dwells.conditions) if number not in bad}
-    note = f"{len(bad)} dwells hold NaN or infinite positions or efforts and are left out"
-    return dwells.select(lambda condition: id(condition) in kept), [note]
-
-
-def _short(dwells: Dataset) -> list[str]:
-    counts = np.diff(dwells.offsets)
-    short = counts[counts < SAMPLES_PER_DWELL]
-    if not len(short):
-        return []
-    return [
-        f"{len(short)} of {len(counts)} dwells have fewer than {SAMPLES_PER_DWELL} samples (the "
-        f"shortest {short.min()}); each is used as it is"
-    ]
-
-
-def _still(dwells: Dataset) -> list[str]:
-    span = np.ptp(dwells["q"], axis=0)
-    still = [name for name, s in zip(dwells.joint_names, span, strict=True) if s < STILL_RAD]
-    return [f"{', '.join(still)} never moved: nothing is learned about it"] if still else []
-
-
 def bare(dwells: Dataset) -> Dataset:
     """Without what no estimator asks for: it travels to every process."""
     kept = ("t", "q", "qd", "effort", "temperature", ROW, DWELL)
     columns = {name: dwells[name] for name in kept if name in dwells.columns}
     return replace(dwells, columns=columns)
+
+
+SHARES = (0.75, 0.20, 0.05)
+"""To train, test and validate on."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Partition:
+    """Rows to train, test and validate on.
+
+    Attributes:
+        training: The training rows as a dataset.
+        train, test, validation: (·,) row numbers.
+    """
+
+    training: Dataset
+    train: IntArray
+    test: IntArray
+    validation: IntArray
+
+
+def by_sample(data: Dataset, seed: int) -> Partition:
+    """75/20/5 % of the samples, as the paper: ten samples of a pose land on all sides."""
+    training, test, validation = paper_sample_split(data, SHARES, seed)
+    return Partition(training, rows_in(training), rows_in(test), rows_in(validation))
+
+
+def by_pose(data: Dataset, seed: int) -> Partition:
+    """The same shares of whole poses.
+
+    Raises:
+        DataError: There are too few poses.
+    """
+    outer = split(data, "pose", SHARES[1], seed)
+    inner = split(outer.train, "pose", SHARES[2] / (1 - SHARES[1]), seed)
+    parts = inner.train, outer.test, inner.test
+    return Partition(inner.train, *(rows_in(part) for part in parts))

@@ -7,13 +7,11 @@ import numpy as np
 from hil.core import FloatArray, HilError
 from hil.estimators import StaticLinear, Weights
 from hil.studies.result import Figure
-from hil.studies.separation_band import SHORT, Bands, friction_of
 from hil.studies.separation_data import Recording
 from hil.studies.separation_figures import ROW, clouds, parameters, regression, series
-from hil.studies.separation_honest import HonestRun
-from hil.studies.separation_paper import METHODS
-from hil.studies.separation_paper_run import PaperRun
-from hil.studies.separation_printed import WORDS
+from hil.studies.separation_honest import SHORT, Bands, HonestRun, friction_of
+from hil.studies.separation_paper import METHODS, PaperRun
+from hil.studies.separation_tables import WORDS
 
 OURS = ("hysteresis", "network-approach", "coulomb", "network", "gravity", "wls")
 """What is shown as the model in the honest figures: the first of them that was fitted."""

@@ -1,7 +1,9 @@
 """The static friction separation paper: its tables and figures, under its protocol and honestly.
 
-Everything is computed twice from one run: as the paper does, labelled so, and so that the numbers
-say how well a current is predicted (docs/explanation/static-separation.md).
+Everything is computed twice from one run: as the paper does (`separation_paper`), labelled so, and
+so that the numbers say how well a current is predicted (`separation_honest`). Both only prepare
+their fits and trainings; all of them are spread over the processes at once, the longest first
+(docs/explanation/static-separation.md).
 """
 
 from __future__ import annotations
@@ -9,37 +11,28 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, NamedTuple, TypeAlias
 
-from hil.core import FitError, cores
+from hil.core import FitError, SpecError, cores
 from hil.data import Dataset, SeriesKind
 from hil.dynamics import RobotModel
-from hil.estimators import Needs, Weights, choice, flag, number, whole
-from hil.studies.base import Progress, Study, silent
+from hil.estimators import Needs, Weights, choice, flag, number, parameter, whole
+from hil.networks import Mlp
+from hil.studies.base import Progress, Study, silent, words
 from hil.studies.result import Part, StudyResult
-from hil.studies.separation_band import bands
 from hil.studies.separation_data import NEEDS, Recording, recording_of
-from hil.studies.separation_data_part import data_part
 from hil.studies.separation_drawn import honest_figures, paper_figures
-from hil.studies.separation_honest import HonestProtocol
-from hil.studies.separation_honest_part import honest_part, honest_summary
-from hil.studies.separation_methods import METHOD_KEYS, known_methods
-from hil.studies.separation_networks import NetworkSettings
-from hil.studies.separation_paper import PaperProtocol
-from hil.studies.separation_paper_part import paper_part, paper_summary
-from hil.studies.separation_parameters import layout as checked_layout
-from hil.studies.separation_parameters import layouts as checked_layouts
-from hil.studies.separation_parameters import share, words
-from hil.studies.separation_tasks import Task, run_tasks
-
-TABLE_3 = (
-    (4, 20, 10, 10, 1),
-    (4, 10, 10, 1),
-    (4, 20, 10, 1),
-    (4, 15, 10, 1),
-    (4, 20, 15, 10, 1),
-    (4, 15, 15, 10, 1),
-    (4, 10, 10, 10, 1),
-    (4, 20, 20, 10, 1),
+from hil.studies.separation_honest import METHOD_KEYS, HonestProtocol, bands, known_methods
+from hil.studies.separation_paper import NetworkSettings, PaperProtocol
+from hil.studies.separation_tables import (
+    TABLE_3,
+    TABLE_4_LAYOUT,
+    data_part,
+    honest_part,
+    honest_summary,
+    paper_part,
+    paper_summary,
 )
+from hil.studies.tasks import Task, run_tasks
+
 PROTOCOLS = ("paper", "honest")
 
 
@@ -54,62 +47,107 @@ class Shown(NamedTuple):
 Followed: TypeAlias = tuple[list[Task], Callable[[list[Any]], Shown]]
 """What a protocol has to compute, and how its results are shown."""
 
+ONE_SIDED = (
+    "no pose was approached from both sides, so gravity and stick friction cannot be told apart "
+    "without a model (excitation: {approach: both})"
+)
+
+
+INPUTS = 4
+
+
+def checked_layouts(name: str, given: Any) -> list[list[int]]:
+    """A list of layouts.
+
+    Raises:
+        SpecError: It is none, or one of them is none.
+    """
+    if isinstance(given, str) or not isinstance(given, Sequence) or not given:
+        raise SpecError(f"{name} is {given!r}, but must be a list of layouts")
+    return [checked_layout(f"{name}[{i}]", one) for i, one in enumerate(given)]
+
+
+def checked_layout(name: str, given: Any) -> list[int]:
+    """Units per layer, four inputs first and one output last.
+
+    Raises:
+        SpecError: It is no such list.
+    """
+    if isinstance(given, str) or not isinstance(given, Sequence):
+        raise SpecError(f"{name} is {given!r}, but must be a list of whole numbers")
+    layers = [whole(name, units, at_least=1) for units in given]
+    try:
+        Mlp(layers)
+    except SpecError as error:
+        raise SpecError(f"{name}: {error.message}", hint=error.hint) from error
+    if layers[0] != INPUTS:
+        raise SpecError(
+            f"{name} begins with {layers[0]}, but the paper's networks have {INPUTS} inputs, q2…q5"
+        )
+    return layers
+
+
+def percent(name: str, given: Any) -> float:
+    """A share in per cent, above 0 and below 100.
+
+    Raises:
+        SpecError: It is none.
+    """
+    found = number(name, given, above=0.0)
+    if found >= 100.0:
+        raise SpecError(f"{name} is {given!r}, but must be below 100")
+    return found
+
 
 class StaticSeparation(Study):
-    """Tables 2 to 4 and figures 3 to 8 of the static paper, as printed and honestly.
-
-    Args:
-        protocols: `paper`, `honest` or both.
-        layouts: Of networks to compare in Table 3, four inputs (q2…q5) and one output each.
-        layout: The one of Table 4 and the figures, and of the honest networks.
-        first_layer: Of the paper's networks, `tanh` (as pyrenn has it) or `linear` (its text).
-        epochs: Of Levenberg–Marquardt; the honest networks stop earlier by held-out poses.
-        alpha: Of ridge, LASSO and elastic net.
-        weights: Of WLS, see `static-linear`.
-        methods: Of the honest comparison, see `hil.studies.separation_methods`.
-        folds: Of the honest comparison: each pose is held out in one of them.
-        hold_out_percent: Hold out this share of the poses once instead.
-        joint: Shown beside joint 1 in Fig. 5, and in Fig. 7; from 1.
-        figures: Whether to draw any.
-        seed: Of splits, drawn approaches and start weights.
-        jobs: Processes; None: as many as there are cores. The result does not depend on it.
-    """
+    """Tables 2 to 4 and figures 3 to 8 of the static paper, as printed and honestly."""
 
     study: ClassVar[str] = "static-separation"
     series_kinds: ClassVar[tuple[tuple[SeriesKind, ...], ...]] = (("dwell",),)
 
-    def __init__(
-        self,
-        *,
-        protocols: Sequence[str] = PROTOCOLS,
-        layouts: Sequence[Sequence[int]] = TABLE_3,
-        layout: Sequence[int] = TABLE_3[-1],
-        first_layer: str = "tanh",
-        epochs: int = 1000,
-        alpha: float = 0.001,
-        weights: Weights = "paper",
-        methods: Sequence[str] = METHOD_KEYS,
-        folds: int = 5,
-        hold_out_percent: float | None = None,
-        joint: int = 3,
-        figures: bool = True,
-        seed: int = 0,
-        jobs: int | None = None,
-    ) -> None:
-        self.protocols = words("protocols", protocols, PROTOCOLS)
-        self.layouts = checked_layouts("layouts", layouts)
-        self.layout = checked_layout("layout", layout)
-        self.first_layer = choice("first_layer", first_layer, ("tanh", "linear"))
-        self.epochs = whole("epochs", epochs, at_least=1)
-        self.alpha = number("alpha", alpha, above=0.0)
-        self.weights = choice("weights", weights, ("paper", "repeats", "pose"))
-        self.methods = words("methods", methods, METHOD_KEYS)
-        self.folds = whole("folds", folds, at_least=2)
-        self.hold_out_percent = share("hold_out_percent", hold_out_percent)
-        self.joint = whole("joint", joint, at_least=1)
-        self.figures = flag("figures", figures)
-        self.seed = whole("seed", seed, at_least=0)
-        self.jobs = None if jobs is None else whole("jobs", jobs, at_least=1)
+    protocols: list[str] = parameter(PROTOCOLS, words, PROTOCOLS, doc="`paper`, `honest` or both.")
+    layouts: list[list[int]] = parameter(
+        tuple(TABLE_3), checked_layouts,
+        doc="Of networks to compare in Table 3, four inputs (q2…q5) and one output each.",
+    )  # fmt: skip
+    layout: list[int] = parameter(
+        TABLE_4_LAYOUT, checked_layout,
+        doc="The one of Table 4 and the figures, and of the honest networks.",
+    )  # fmt: skip
+    first_layer: str = parameter(
+        "tanh", choice, ("tanh", "linear"),
+        doc="Of the paper's networks, `tanh` (as pyrenn has it) or `linear` (its text).",
+    )  # fmt: skip
+    epochs: int = parameter(
+        1000, whole, at_least=1,
+        doc="Of Levenberg–Marquardt; the honest networks stop earlier by held-out poses.",
+    )  # fmt: skip
+    alpha: float = parameter(0.001, number, above=0.0, doc="Of ridge, LASSO and elastic net.")
+    weights: Weights = parameter(
+        "paper", choice, ("paper", "repeats", "pose"), doc="Of WLS, see `static-linear`."
+    )
+    methods: list[str] = parameter(
+        METHOD_KEYS, words, METHOD_KEYS,
+        doc="Of the honest comparison, see `hil.studies.separation_honest.known_methods`.",
+    )  # fmt: skip
+    folds: int = parameter(
+        5, whole, at_least=2,
+        doc="Of the honest comparison: each pose is held out in one of them.",
+    )  # fmt: skip
+    hold_out_percent: float | None = parameter(
+        None, percent, optional=True, doc="Hold out this share of the poses once instead."
+    )
+    joint: int = parameter(
+        3, whole, at_least=1, doc="Shown beside joint 1 in Fig. 5, and in Fig. 7; from 1."
+    )
+    figures: bool = parameter(True, flag, doc="Whether to draw any.")
+    seed: int = parameter(
+        0, whole, at_least=0, doc="Of splits, drawn approaches and start weights."
+    )
+    jobs: int | None = parameter(
+        None, whole, at_least=1, optional=True,
+        doc="Processes; None: as many as there are cores. The result does not depend on it.",
+    )  # fmt: skip
 
     def needs(self, robot: RobotModel, *, loaded: bool = False) -> Needs:
         """Return what it cannot do without: four poses."""
@@ -208,9 +246,3 @@ class StaticSeparation(Study):
             return Shown(honest_part(found, both, drawn), honest_summary(found), notes)
 
         return protocol.tasks(), show
-
-
-ONE_SIDED = (
-    "no pose was approached from both sides, so gravity and stick friction cannot be told apart "
-    "without a model (excitation: {approach: both})"
-)

@@ -79,28 +79,6 @@ def _here(tasks: Sequence[Task], what: str, progress: Progress) -> list[Any]:
     return [result for result, _ in results.values()]
 
 
-def _elsewhere(
-    tasks: Sequence[Task], executor: Executor, given: Executor | None, what: str, progress: Progress
-) -> list[Any]:
-    try:
-        runs = [partial(_timed, task.run) for task in tasks]
-        costs = [task.cost for task in tasks]
-        results = spread(runs, costs, executor, _News(tasks, what, progress))
-    except BaseException:
-        if given is None:
-            executor.shutdown(wait=False, cancel_futures=True)
-        raise
-    if given is None:
-        executor.shutdown()
-    return [result for result, _ in results]
-
-
-def _timed(run: Callable[[], Any]) -> tuple[Any, float]:
-    """What comes of it, and how long it took [s], wherever it is computed."""
-    begin = time.perf_counter()
-    return run(), time.perf_counter() - begin
-
-
 class _News:
     """Tells every task that is done, once, and how many are."""
 
@@ -117,3 +95,25 @@ class _News:
                 ended = Ended(self._told, total, task.name, seconds, task.failed(result))
                 tell_ended(self._progress, ended)
         self._progress(self._what, self._told, total)
+
+
+def _timed(run: Callable[[], Any]) -> tuple[Any, float]:
+    """What comes of it, and how long it took [s], wherever it is computed."""
+    begin = time.perf_counter()
+    return run(), time.perf_counter() - begin
+
+
+def _elsewhere(
+    tasks: Sequence[Task], executor: Executor, given: Executor | None, what: str, progress: Progress
+) -> list[Any]:
+    try:
+        runs = [partial(_timed, task.run) for task in tasks]
+        costs = [task.cost for task in tasks]
+        results = spread(runs, costs, executor, _News(tasks, what, progress))
+    except BaseException:
+        if given is None:
+            executor.shutdown(wait=False, cancel_futures=True)
+        raise
+    if given is None:
+        executor.shutdown()
+    return [result for result, _ in results]
