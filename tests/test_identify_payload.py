@@ -228,12 +228,13 @@ def test_errors_of_centre_and_inertia_follow_by_the_chain_rule() -> None:
     assert central_jacobian(parameters) == pytest.approx(np.transpose(differences), abs=1e-8)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_the_nearest_body_is_that_of_a_semidefinite_program(seed: int) -> None:
+@pytest.mark.parametrize("spread", [0.0, 1.5], ids=["alike", "columns-of-all-sizes"])
+@pytest.mark.parametrize("seed", range(4))
+def test_the_nearest_body_is_that_of_a_semidefinite_program(seed: int, spread: float) -> None:
     cp = pytest.importorskip("cvxpy")
     random = np.random.default_rng(seed)
     truth = payload_parameters(LOAD)
-    X = random.normal(size=(30, 10))
+    X = random.normal(size=(30, 10)) * 10 ** random.uniform(-spread, spread, 10)
     y = X @ (truth * np.where(np.arange(10) < 4, 1.0, -1.0))
     ours = nearest_body(X, y)
     J = cp.Variable((4, 4), PSD=True)

@@ -852,15 +852,21 @@ def nearest_body(X: FloatArray, y: FloatArray) -> FloatArray:
 
     Newton's method with a barrier −μ·log det of what the pseudo-inertia is above its floor; the
     sum of squares is within 4μ of its minimum (Boyd & Vandenberghe, Convex Optimization, §11.2).
+    As a least-squares problem in a factor of the pseudo-inertia, which is singular at the solution,
+    `scipy.optimize.least_squares` has not converged after 500 evaluations.
     """
     free = np.asarray(np.linalg.lstsq(X, y, rcond=None)[0])
     if is_body(free):
         return free
     gram, phi = X.T @ X, _inside(free)
     least = float(np.sum((X @ free - y) ** 2))
-    excess = float((phi - free) @ gram @ (phi - free))
-    mu = excess / 4
-    while mu > SMALLEST_GAP * max(excess, least) / 4:
+
+    def squares() -> float:
+        return least + float((phi - free) @ gram @ (phi - free))
+
+    mu = (squares() - least) / 4
+    # A start far away must not count: the gap is a share of what the sum of squares is now.
+    while mu > SMALLEST_GAP * squares() / 4:
         for _ in range(MOST_NEWTON):
             step, decrement = _newton(phi, free, gram, mu)
             phi = phi + _longest(phi, step) * step
