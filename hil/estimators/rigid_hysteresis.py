@@ -4,7 +4,7 @@ What classical friction models lack is memory: a joint that turns round, or stan
 friction its last millirad left it with. Dahl's states carried along the measured path take the
 place of sign(v); friction grows with the torque through the gear; gears and motors ripple.
 
-A fit goes in four steps (`HysteresisFit.learn`):
+A fit goes in four steps (`RigidHysteresis._learn`):
 
 1. The rigid body with the core of friction; the torque through every gear follows.
 2. The shapes of each joint's friction (lengths, Stribeck speeds, exponents) by variable projection.
@@ -189,23 +189,51 @@ class RigidHysteresis(RobotEstimator):
         require_motion(dataset)
         self.filters_ = self.filters or filters_for(dataset)
         data = prepared(dataset, self.filters_)
-        turns = motor_turns(robot, self.gear_ratio)
-        learnt = HysteresisFit(self._base, robot, self.filters_, turns).learn(
-            data,
-            self.torque_scale_,
-            friction=self.friction,
-            fit_shapes=self.fit_shapes,
-            consistent=self.consistent,
-        )
-        self.rigid_, self.gear_rigid_, self.law_ = learnt.rigid, learnt.gear_rigid, learnt.law
-        if learnt.inertial is not None:
-            self.inertial_ = learnt.inertial
-        self.samples_, self.notes_ = learnt.samples, learnt.notes
-        self.held_out_ = learnt.held_out / self.torque_scale_
+        self._learn(data)
         scatter = (data["effort"] - data["effort_f"])[rows_to_fit(data)]
         self.sigma_ = np.sqrt(self.held_out_**2 + np.mean(scatter**2, axis=0))
         self._name_parameters()
         return self
+
+    def _learn(self, data: Dataset) -> None:
+        """Fit to prepared data in the four steps of the module; sets what was fitted."""
+        robot, base, turns = self.robot_, self._base, motor_turns(self.robot_, self.gear_ratio)
+        training = TrainingData.of(data, self.filters_, robot, base, self.torque_scale_)
+        ripple = bool(np.any(np.isfinite(turns)))
+        library = groups(ripple=ripple, temperature=temperatures_vary(data))
+        shapes = first_shapes(turns)
+
+        def rigid_with(names: Sequence[str], gear: FloatArray | None) -> FloatArray:
+            """(b,) with these groups beside the core in every joint."""
+            chosen = {name: library[name] for name in (CORE, *names)}
+            observed = training.observed(chosen, gear, shapes)
+            return solve(observed, [tuple(chosen)] * observed.joints).rigid
+
+        # Steps 1 and 2: the torque through the gears is one of what the backbone is made of, so
+        # that the rigid body is fitted again once it is known, and again with other shapes.
+        gear_rigid = rigid_with(BACKBONE, rigid_with(["speed p"], None))
+        if self.fit_shapes:
+            shapes = fitted_shapes(training.rest(gear_rigid, shapes), shapes)
+            gear_rigid = rigid_with(BACKBONE, gear_rigid)
+        # Step 3. Parts of one trajectory are no trajectories: there, richer must be better.
+        offered, ladders = _offered(training, library, self.friction, gear_rigid)
+        observed = training.observed(offered, gear_rigid, shapes)
+        found = climb(observed, ladders, as_good=AS_GOOD if training.whole else 0.0)
+        # Step 4.
+        solved = solve(observed, found.chosen, found.penalty)
+        _require_excited(solved, base)
+        self.notes_ = _notes(training, library, self.friction)
+        if self.consistent:
+            bounds = InertialBounds.nominal(robot)
+            solved = consistent_links(solved, observed, found.chosen, base, bounds)
+            assert solved.inertial is not None
+            self.inertial_ = solved.inertial
+            self.notes_ += _bound_notes(bounds, solved, robot.joint_names)
+        self.rigid_, self.gear_rigid_ = solved.rigid, gear_rigid
+        celsius = usual_temperatures(data)
+        self.law_ = FrictionLaw(found.chosen, solved.friction, shapes, celsius)
+        self.held_out_ = found.error * np.maximum(solved.grown, 1.0) / self.torque_scale_
+        self.samples_ = int(training.kept.sum())
 
     def predict(self, dataset: Dataset) -> Prediction:
         """Effort per row: `gravity`, `inertia`, `friction`, `ripple`, `drive`, `payload`.
@@ -392,101 +420,6 @@ BACKBONE = ("load", "stribeck", "speed p")
 """Friction while shapes are looked for."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Learnt:
-    """Result of a fit; torques in N·m, see `RigidHysteresis`."""
-
-    rigid: FloatArray
-    gear_rigid: FloatArray
-    inertial: FloatArray | None
-    law: FrictionLaw
-    held_out: FloatArray
-    samples: int
-    notes: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class HysteresisFit:
-    """A robot to be learnt.
-
-    Attributes:
-        base: Its base parameters.
-        robot: Nominal model.
-        filters: Of the prepared data.
-        turns: (n,) motor turns per joint turn, NaN where unknown.
-    """
-
-    base: BaseParameters
-    robot: RobotModel
-    filters: FilterSettings
-    turns: FloatArray
-
-    def learn(
-        self,
-        data: Dataset,
-        scale: FloatArray,
-        *,
-        friction: str | Sequence[str],
-        fit_shapes: bool,
-        consistent: bool,
-    ) -> Learnt:
-        """From prepared data whose efforts make `scale` (n,) torque per unit."""
-        training = TrainingData.of(data, self.filters, self.robot, self.base, scale)
-        ripple = bool(np.any(np.isfinite(self.turns)))
-        library = groups(ripple=ripple, temperature=temperatures_vary(data))
-
-        def rigid_with(names: Sequence[str], gear: FloatArray | None) -> FloatArray:
-            """(b,) with these groups beside the core in every joint."""
-            chosen = {name: library[name] for name in (CORE, *names)}
-            observed = training.observed(chosen, gear, shapes)
-            return solve(observed, [tuple(chosen)] * observed.joints).rigid
-
-        shapes = first_shapes(self.turns)
-        gear_rigid = rigid_with(BACKBONE, rigid_with(["speed p"], None))
-        if fit_shapes:
-            shapes = fitted_shapes(training.rest(gear_rigid, shapes), shapes)
-            gear_rigid = rigid_with(BACKBONE, gear_rigid)
-        offered, ladders = _offered(training, library, friction, gear_rigid)
-        observed = training.observed(offered, gear_rigid, shapes)
-        # Parts of one trajectory are no trajectories: there, richer must be better.
-        found = climb(observed, ladders, as_good=AS_GOOD if training.whole else 0.0)
-        solved = solve(observed, found.chosen, found.penalty)
-        self._require_excited(solved)
-        notes = _notes(training, library, friction)
-        if consistent:
-            bounds = InertialBounds.nominal(self.robot)
-            solved = consistent_links(solved, observed, found.chosen, self.base, bounds)
-            notes += self._bound_notes(bounds, solved)
-        return Learnt(
-            solved.rigid,
-            gear_rigid,
-            solved.inertial,
-            FrictionLaw(found.chosen, solved.friction, shapes, usual_temperatures(data)),
-            found.error * np.maximum(solved.grown, 1.0),
-            int(training.kept.sum()),
-            notes,
-        )
-
-    def _require_excited(self, solved: Solved) -> None:
-        weighted = solved.weighted
-        X, _ = weighted.weighted_system()
-        names = (*self.base.names, *(f"friction {i}" for i in range(X.shape[1] - self.base.rank)))
-        require_rank(weighted.rank, weighted.condition, names, X, highest=1e8)
-
-    def _bound_notes(self, bounds: InertialBounds, solved: Solved) -> tuple[str, ...]:
-        """Notes on links at their bounds, and on what the bounds cost."""
-        assert solved.inertial is not None
-        notes = bounds.notes + bounds.reached(solved.inertial, self.robot.joint_names)
-        worst = float(np.max(solved.grown))
-        if worst > WORSE:
-            joint = self.robot.joint_names[int(np.argmax(solved.grown))]
-            notes += (
-                f"links that can exist make the error of {joint} {worst:.2g} times larger: if the "
-                "load and the robot's nominal model are right, try consistent: false",
-            )
-        return notes
-
-
 def _offered(
     training: TrainingData,
     library: Mapping[str, Columns],
@@ -514,6 +447,29 @@ def _notes(
         left_out = ", ".join(missing)
         notes.append(f"without motor turns or varying temperatures left out: {left_out}")
     return tuple(notes)
+
+
+def _require_excited(solved: Solved, base: BaseParameters) -> None:
+    weighted = solved.weighted
+    X, _ = weighted.weighted_system()
+    names = (*base.names, *(f"friction {i}" for i in range(X.shape[1] - base.rank)))
+    require_rank(weighted.rank, weighted.condition, names, X, highest=1e8)
+
+
+def _bound_notes(
+    bounds: InertialBounds, solved: Solved, joint_names: tuple[str, ...]
+) -> tuple[str, ...]:
+    """Notes on links at their bounds, and on what the bounds cost."""
+    assert solved.inertial is not None
+    notes = bounds.notes + bounds.reached(solved.inertial, joint_names)
+    worst = float(np.max(solved.grown))
+    if worst > WORSE:
+        joint = joint_names[int(np.argmax(solved.grown))]
+        notes += (
+            f"links that can exist make the error of {joint} {worst:.2g} times larger: if the "
+            "load and the robot's nominal model are right, try consistent: false",
+        )
+    return notes
 
 
 ROWS_PER_CUTOFF = 8.0
