@@ -10,7 +10,7 @@ from synthetic_motion import dwelling, moving, raw
 
 from hil.data.filters import FilterSettings, prepare
 from hil.estimators.friction_fit import _linearised, variable_projection
-from hil.estimators.friction_memory import advanced, dahl_slopes, dahl_states, path_steps
+from hil.estimators.friction_memory import Pieces, advanced, dahl_states, path_steps
 from hil.estimators.streaming import DahlMemory
 
 LENGTH = np.array([1e-4, 3e-3, 0.1])
@@ -63,11 +63,12 @@ def test_one_more_step_is_the_next_state(steps) -> None:
     assert advanced(states[99], steps[100], LENGTH) == pytest.approx(states[100], abs=1e-13)
 
 
-def test_slopes_are_finite_differences_by_the_logarithm_of_the_length(steps) -> None:
-    h = 1e-6
-    up, down = (dahl_states(steps, LENGTH * np.exp(s * h)) for s in (1, -1))
-    slopes = dahl_slopes(steps, LENGTH, dahl_states(steps, LENGTH))
-    assert slopes == pytest.approx((up - down) / (2 * h), abs=1e-8)
+@pytest.mark.parametrize("joint", range(3))
+def test_slopes_are_finite_differences_by_the_logarithm_of_the_length(steps, joint) -> None:
+    h, length = 1e-6, LENGTH[joint]
+    pieces = Pieces.of(steps[:, joint], (slice(0, len(steps)),))
+    up, down = (pieces.state(length * np.exp(s * h))[0] for s in (1, -1))
+    assert pieces.state(length)[1] == pytest.approx((up - down) / (2 * h), abs=1e-8)
 
 
 def test_path_is_the_way_between_samples() -> None:

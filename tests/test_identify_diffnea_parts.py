@@ -12,7 +12,7 @@ from hil.dynamics import base_parameters
 from hil.dynamics.inertial import divergence, is_consistent
 from hil.estimators.diffnea import Bodies, Local, Problem, Unknowns, folding, minimise
 from hil.estimators.diffnea_friction import FORMS, ArmMotion, BendingRows, sign_of, spread
-from hil.estimators.friction_memory import Pieces, dahl_slopes, dahl_states
+from hil.estimators.friction_memory import Pieces, dahl_states
 from hil.estimators.least_squares import JointwiseQR
 
 BENDING = [name for name, form in FORMS.items() if form.shapes]
@@ -142,13 +142,11 @@ def test_state_piece_by_piece_is_the_state_sample_by_sample(length: float) -> No
     random = np.random.default_rng(8)
     steps = 1e-3 * random.normal(size=400).cumsum() * (random.random(400) < 0.7)
     pieces = Pieces.of(steps, (slice(0, 150), slice(150, 400)))
-    state, slope = pieces.state(length)
+    state = pieces.state(length)[0]
     whole = np.array([length])
     for rows in (slice(0, 150), slice(150, 400)):
         theirs = dahl_states(steps[rows, None], whole)
         np.testing.assert_allclose(state[rows], theirs[:, 0], atol=1e-12)
-        by_log = dahl_slopes(steps[rows, None], whole, theirs)
-        np.testing.assert_allclose(slope[rows], by_log[:, 0], atol=1e-12)
     np.testing.assert_array_equal(pieces.every(3).state(length)[0], state[::3])
 
 

@@ -27,6 +27,7 @@ from hil.data import Dataset
 from hil.dynamics import BaseParameters
 from hil.estimators.consistent import InertialBounds, consistent_least_squares
 from hil.estimators.friction_library import CORE, FrictionMotion, Shapes
+from hil.estimators.friction_memory import Pieces
 from hil.estimators.least_squares import (
     JointwiseQR,
     Solution,
@@ -63,35 +64,39 @@ def fitted_shapes(parts: list[Part], start: Shapes) -> Shapes:
 
 def _of_joint(parts: list[Part], start: Shapes, j: int) -> FloatArray:
     target = np.concatenate([rest[:, j] for _, rest, _ in parts])
+    # The path does not change with the shapes, the state along it does.
+    ways = [_way(motion, j) for motion, _, _ in parts]
 
     def columns(theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        made = [_backbone(motion, theta, j, through) for motion, _, through in parts]
+        made = [
+            _backbone(motion, way, theta, j, through)
+            for (motion, _, through), way in zip(parts, ways, strict=True)
+        ]
         return np.concatenate([F for F, _ in made]), np.concatenate([d for _, d in made], axis=1)
 
     first = np.array([np.log(start.length[j]), np.log(start.stribeck[j]), start.power[j]])
     return variable_projection(columns, target, first, LOWEST, HIGHEST).theta
 
 
+def _way(motion: FrictionMotion, j: int) -> Pieces:
+    assert motion.steps is not None
+    return Pieces.of(motion.steps[:, j], (slice(0, len(motion.v)),))
+
+
 def _backbone(
-    motion: FrictionMotion, theta: FloatArray, j: int, through: Through
+    motion: FrictionMotion, way: Pieces, theta: FloatArray, j: int, through: Through
 ) -> tuple[FloatArray, FloatArray]:
     """Columns (N, 6) of the backbone law of joint j and their derivatives (3, N, 6)."""
-    length, stribeck, power = np.exp(theta[:1]), np.exp(theta[1:2]), theta[2:]
-    one = slice(j, j + 1)
-    assert motion.steps is not None
-    m = FrictionMotion(
-        motion.q[:, one],
-        motion.v[:, one],
-        motion.transmitted[:, one],
-        Shapes(length, stribeck, power, motion.shapes.turns[one]),
-        motion.steps[:, one],
-    )
-    z, slope, peak, law = m.z, m.state_slope(), m.peak(), m.law(power)
-    by_stribeck = z * peak * m.speed / stribeck
-    by_power = law * np.log(np.maximum(m.speed, 1e-12))
-    columns = [np.ones_like(z), m.v, z, z * m.load, z * peak, law]
-    slopes = [slope, slope * m.load, slope * peak, by_stribeck, by_power]
-    filtered = through(np.hstack([*columns, *slopes]))
+    length, stribeck, power = float(np.exp(theta[0])), np.exp(theta[1]), theta[2]
+    z, slope = way.state(length)
+    v, load = motion.v[:, j], np.abs(motion.transmitted[:, j])
+    speed = np.abs(v)
+    peak, law = np.exp(-speed / stribeck), np.sign(v) * speed**power
+    by_stribeck = z * peak * speed / stribeck
+    by_power = law * np.log(np.maximum(speed, 1e-12))
+    columns = [np.ones_like(z), v, z, z * load, z * peak, law]
+    slopes = [slope, slope * load, slope * peak, by_stribeck, by_power]
+    filtered = through(np.column_stack([*columns, *slopes]))
     F, d = filtered[:, :6], np.zeros((3, len(filtered), 6))
     d[0][:, 2:5] = filtered[:, 6:9]
     d[1][:, 4], d[2][:, 5] = filtered[:, 9], filtered[:, 10]

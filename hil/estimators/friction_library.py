@@ -35,7 +35,7 @@ from hil.data import (
     sample_rate,
     zero_phase,
 )
-from hil.estimators.friction_memory import dahl_slopes, dahl_states, path_steps
+from hil.estimators.friction_memory import dahl_states, path_steps
 
 MULTIPLES = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
 """Lengths of the friction states as multiples of the shortest: from microslip in the contacts to
@@ -105,11 +105,6 @@ class FrictionMotion:
             assert self.steps is not None
             self._states[multiple] = dahl_states(self.steps, multiple * self.shapes.length)
         return self._states[multiple]
-
-    def state_slope(self) -> FloatArray:
-        """Derivative of `state()` by the logarithm of its length."""
-        assert self.steps is not None
-        return dahl_slopes(self.steps, self.shapes.length, self.state())
 
     @cached_property
     def speed(self) -> FloatArray:

@@ -39,17 +39,6 @@ def dahl_states(steps: FloatArray, length: FloatArray) -> FloatArray:
     return _composed(kept, np.sign(steps) * (1.0 - kept))
 
 
-def dahl_slopes(steps: FloatArray, length: FloatArray, states: FloatArray) -> FloatArray:
-    """(N, n) derivative of `states` = `dahl_states(steps, length)` by log(length).
-
-    With a = exp(−|dq|/x₀) the derivative obeys z'ₖ = aₖ z'ₖ₋₁ + (zₖ₋₁ − sₖ) aₖ |dqₖ|/x₀.
-    """
-    way = np.abs(steps) / length
-    kept = np.exp(-way)
-    before = np.vstack([np.zeros_like(states[:1]), states[:-1]])
-    return _composed(kept, (before - np.sign(steps)) * kept * way)
-
-
 def _composed(factor: FloatArray, term: FloatArray) -> FloatArray:
     """zₖ = factorₖ zₖ₋₁ + termₖ from z = 0 along axis 0 (Hillis & Steele 1986, inclusive scan)."""
     a, b = factor.copy(), term.copy()
