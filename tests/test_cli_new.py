@@ -305,7 +305,7 @@ def test_what_cannot_be_begun_is_refused(words: tuple[str, ...], message: str) -
 def test_kinds_are_listed() -> None:
     assert [
         one["kind"] for one in json.loads(invoke("new", "--list", "--json").stdout)["kinds"]
-    ] == [*DRAFT_KINDS]
+    ] == [*DRAFT_KINDS, "driver"]
 
 
 def test_a_comment_of_a_key_that_is_none_fails() -> None:

@@ -1,4 +1,4 @@
-"""`hil new`: first versions of specs, stations and schedules, with comments."""
+"""`hil new`: first versions of specs, stations, schedules and drivers, with comments."""
 
 import re
 import shlex
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 USUAL_ROBOT = "ur5"
 URDF = "own-urdf"
+DRIVER = {"driver": "a robot driver of your own with its test: three files in a folder"}
 
 
 def register(app: typer.Typer) -> None:
@@ -44,20 +45,23 @@ def new(
     list_: Annotated[bool, typer.Option("--list", help="Say what can be begun.")] = False,
     json: JsonFlag = False,
 ) -> None:
-    """Begin a spec, a schedule or a station: a valid file with comments; overwrites nothing."""
+    """Begin a spec, a schedule, a station or a driver, with comments; overwrites nothing."""
     from hil.core import did_you_mean
     from hil.spec import DRAFT_KINDS, drafts
 
     if list_ or not kind:
-        _list(DRAFT_KINDS, json)
+        _list(DRAFT_KINDS | DRIVER, json)
         return
-    if kind not in DRAFT_KINDS:
-        raise SpecError(f"hil new makes no {kind!r}", hint=did_you_mean(kind, DRAFT_KINDS))
+    if kind not in DRAFT_KINDS | DRIVER:
+        raise SpecError(f"hil new makes no {kind!r}", hint=did_you_mean(kind, DRAFT_KINDS | DRIVER))
     if (kind == URDF) != (urdf is not None):
         raise SpecError(
             f"hil new {URDF} needs --urdf ARM.urdf, and nothing else takes it",
             hint=f"hil new {URDF} --urdf ARM.urdf",
         )
+    if kind in DRIVER:
+        _new_driver(out, name or (file.name if file else "my-arm"), json)
+        return
     robot = urdf.stem if urdf is not None and robot == USUAL_ROBOT else robot
     usual = {"station": "", URDF: robot}.get(kind, f"{robot}-{kind}")
     name = name or (file.stem if file else usual)
@@ -88,6 +92,24 @@ def _list(kinds: dict[str, str], json: bool) -> None:
         return
     print_table(("kind", "what it is"), kinds.items())
     say("hil new KIND [FILE] writes one")
+
+
+def _new_driver(out: Path, name: str, json: bool) -> None:
+    from hil.core import write_replacing
+    from hil.testing import driver_files
+
+    folder = out / name
+    files = {folder / file: text for file, text in driver_files(name).items()}
+    if folder.exists():
+        raise SpecError(
+            f"{folder} is there already; nothing was written", hint="give another --name or --out"
+        )
+    folder.mkdir(parents=True)
+    for path, text in files.items():
+        write_replacing(path, text.encode())
+    at = shlex.quote(str(folder))
+    commands = [f"pip install -e {at}", f"pytest {at}", "hil plugins"]
+    _tell("driver", list(files), commands, [], json)
 
 
 def _require_name(option: str, name: str) -> None:

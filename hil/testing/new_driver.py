@@ -1,0 +1,42 @@
+"""First version of a driver in three files: the driver, its test, and the distribution they are in.
+
+The driver is complete for a small protocol of its own, and its test judges it against a simulated
+controller: who adapts it to a controller has a driver that keeps the contract at every step.
+"""
+
+from __future__ import annotations
+
+import re
+from importlib.resources import files
+
+from hil.core import SpecError
+
+_NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
+
+
+def driver_files(name: str) -> dict[str, str]:
+    """Return the files of a new driver, name → text.
+
+    Args:
+        name: Of the driver, as stations will write it, such as `lab-arm`.
+
+    Raises:
+        SpecError: It cannot be the name of a Python module as well.
+    """
+    if not _NAME.fullmatch(name):
+        raise SpecError(
+            f"--name {name!r}: the name of a driver has small letters, digits and single hyphens",
+            hint="such as --name lab-arm",
+        )
+    module = name.replace("-", "_")
+    class_name = "".join(part.capitalize() for part in name.split("-"))
+    made = {
+        "pyproject.toml": "driver-pyproject.txt",
+        f"{module}.py": "driver.txt",
+        f"test_{module}.py": "driver-test.txt",
+    }
+    folder = files("hil.testing") / "templates"
+    texts = {file: (folder / template).read_text("utf-8") for file, template in made.items()}
+    for mark, word in (("@name@", name), ("@module@", module), ("@Class@", class_name)):
+        texts = {file: text.replace(mark, word) for file, text in texts.items()}
+    return texts
