@@ -18,11 +18,11 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 ROOTS = ("hil", "drivers/hil_drivers", "mock_robot/hil_mock_robot")
 HEAVY = {
-    "apscheduler", "can", "canopen", "clarabel", "cvxpy", "distributed", "jinja2", "markupsafe",
-    "foxglove", "matplotlib", "mcap", "mujoco", "numba", "onnx", "onnxruntime", "onnxscript",
-    "pinocchio", "plotly", "pyads", "pyarrow", "rosbags", "rtde_control", "rtde_receive", "ruckig",
-    "safetensors", "scipy", "sklearn", "sse_starlette", "starlette", "threadpoolctl", "torch",
-    "uvicorn", "yaml",
+    "apscheduler", "can", "canopen", "clarabel", "cvxpy", "distributed", "filelock", "foxglove",
+    "jinja2", "markupsafe", "matplotlib", "mcap", "mujoco", "numba", "onnx", "onnxruntime",
+    "onnxscript", "pinocchio", "plotly", "pyads", "pyarrow", "rosbags", "rtde_control",
+    "rtde_receive", "ruckig", "safetensors", "scipy", "sklearn", "sse_starlette", "starlette",
+    "threadpoolctl", "torch", "uvicorn", "yaml",
 }  # fmt: skip
 START_FAST = ("hil.cli.", "hil.testing.plugin.")
 

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import errno
-import fcntl
-import os
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -24,37 +20,26 @@ def writing(folder: Path, patience_s: float = PATIENCE_S) -> Iterator[None]:
     """Hold the lock of a name. The kernel frees it when its holder dies, however it does.
 
     Raises:
-        RegistryError: It cannot be made, or somebody else does not let it go.
+        RegistryError: It cannot be made, or another process does not let it go.
     """
+    from filelock import FileLock, Timeout
+
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(folder / LOCK_FILE, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        # A lock file that survives its holder would keep a registry closed: never a soft lock.
+        lock = FileLock(folder / LOCK_FILE, timeout=patience_s, fallback_to_soft=False)
+        lock.acquire(poll_interval=_POLL_S)
+    except Timeout as error:
+        raise RegistryError(
+            f"another process has been writing in {folder} for {patience_s:g} s",
+            hint="try again when it is done",
+        ) from error
     except OSError as error:
         raise RegistryError(
-            f"cannot write in {folder}: {error.strerror}",
-            hint="name a registry you may write to with --registry",
+            f"cannot write in {folder}: {error.strerror or error}",
+            hint="name a registry you may write to with --registry, on a file system with locks",
         ) from error
     try:
-        _wait(descriptor, folder, time.monotonic() + patience_s)
         yield
     finally:
-        os.close(descriptor)
-
-
-def _wait(descriptor: int, folder: Path, until: float) -> None:
-    while True:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            return
-        except OSError as error:
-            if error.errno not in (errno.EWOULDBLOCK, errno.EINTR):
-                raise RegistryError(
-                    f"{folder} cannot be locked: {error.strerror}",
-                    hint="keep the registry on a file system with locks",
-                ) from error
-        if time.monotonic() > until:
-            raise RegistryError(
-                f"another process has been writing in {folder} for {PATIENCE_S:.0f} s",
-                hint="try again when it is done",
-            )
-        time.sleep(_POLL_S)
+        lock.release()
