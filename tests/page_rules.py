@@ -9,8 +9,10 @@ from itertools import combinations
 from typing import Any
 
 from hil.report import colours
-from hil.report.blocks import Page, Panel, Plots
-from hil.report.encode import figure_json
+from hil.report.curves import dressed, legend
+from hil.report.page import Page
+from hil.report.plotly_figure import figure_json, plotly_of
+from hil.studies.figure import Figure, Panel
 
 UNITS = {
     "1", "%", "A", "N·m", "kg", "kg·m", "mm", "rad", "rad/s", "°", "°/s", "°/s²", "°/s³", "mrad",
@@ -32,8 +34,7 @@ def faults(page: Page) -> list[str]:
     return [
         f"{section.title}: {block.title}: {fault}"
         for section in page.sections
-        for block in section.blocks
-        if isinstance(block, Plots)
+        for block in map(dressed, (b for b in section.blocks if isinstance(b, Figure)))
         for fault in (*_of_legend(block), *(f for panel in block.panels for f in _of(panel)))
     ] + [
         f"{section.title}: a table has no caption"
@@ -46,11 +47,12 @@ def faults(page: Page) -> list[str]:
 def panels(page: Page) -> list[Panel]:
     """All plots of the page."""
     blocks = [block for section in page.sections for block in section.blocks]
-    return [panel for block in blocks if isinstance(block, Plots) for panel in block.panels]
+    figures = (dressed(block) for block in blocks if isinstance(block, Figure))
+    return [panel for figure in figures for panel in figure.panels]
 
 
-def _of_legend(block: Plots) -> Iterator[str]:
-    for text, colour, look in block.legend:
+def _of_legend(block: Figure) -> Iterator[str]:
+    for text, colour, look in legend(block):
         if colour not in colours.DARK:
             yield f"legend of {text!r} is {colour}, which is not of the palette"
         if look not in (*colours.STROKES, "band") and len(look) != 1:
@@ -58,7 +60,8 @@ def _of_legend(block: Plots) -> Iterator[str]:
 
 
 def _of(panel: Panel) -> Iterator[str]:
-    layout = panel.figure["layout"]
+    figure = plotly_of(panel)
+    layout = figure["layout"]
     for axis in ("xaxis", "yaxis"):
         title = unescape(layout[axis]["title"]["text"])
         unit = re.search(r"\[([^\]]+)\]$", title)
@@ -67,12 +70,10 @@ def _of(panel: Panel) -> Iterator[str]:
     y_title = unescape(layout["yaxis"]["title"]["text"])
     if not panel.wide and len(y_title) > ROOM:
         yield f"{panel.title}: {y_title!r} is cut off in print"
-    if len(panel.alt) < 10:
-        yield f"{panel.title}: no alternative in words"
-    text = figure_json(panel.figure)
+    text = figure_json(figure)
     for colour in set(re.findall(r"#[0-9A-Fa-f]{3,8}|rgba?\([^)]*\)", text)) - set(colours.DARK):
         yield f"{panel.title}: {colour} is not of the palette"
-    for a, b in combinations(panel.figure["data"], 2):
+    for a, b in combinations(figure["data"], 2):
         if _colour(a) != _colour(b) and _shape(a) == _shape(b) and a.get("name") != b.get("name"):
             yield f"{panel.title}: {a['name']} and {b['name']} differ in colour alone"
 

@@ -17,7 +17,8 @@ from hil.core.errors import FitError, SpecError
 from hil.data.dataset import Dataset
 from hil.dynamics import RobotModel
 from hil.studies.base import GROUP, Ended, Progress, Study, silent, tell_ended
-from hil.studies.result import Curve, Figure, Panel, Part, StudyResult, Table
+from hil.studies.figure import Curve, Figure, Panel
+from hil.studies.result import Part, StudyResult, Table
 
 
 class Counted(Study):

@@ -17,8 +17,9 @@ from hil.core.errors import DataError
 from hil.models.drift.bands import Banded, banded
 from hil.models.drift.history import assess
 from hil.models.model_registry import Registry
-from hil.report import drift_figures as figures
+from hil.report import drift_page as figures
 from hil.report.drift_page import drift_page, in_time
+from hil.report.plotly_figure import plotly_of
 
 MOTION, FRICTION_J2 = 30, 3
 
@@ -63,13 +64,13 @@ def test_a_probe_is_called_changed_where_its_chance_falls_below_the_rate(
 def test_a_changed_feature_lies_outside_its_band_and_is_marked(told) -> None:
     _, along = in_time(told, ())
     panel = figures.over_time(told, FRICTION_J2, along, "A")
-    bars, _, quiet, changed = panel.figure["data"]
-    assert changed["x"] == [5.0, 6.0]
-    assert changed["y"][0] > bars["y"][4] + bars["error_y"]["array"][4]
-    assert quiet["x"] == [1.0, 2.0, 3.0, 4.0]
+    bars, quiet, changed = panel.curves
+    assert changed.x == [5.0, 6.0]
+    assert changed.y[0] > bars.y[4] + bars.y_error[4]
+    assert quiet.x == [1.0, 2.0, 3.0, 4.0]
     assert "2 outside" in panel.alt
     other = figures.over_time(told, 0, along, "A")
-    assert len(other.figure["data"]) == 3, "nobody blames the first joint"
+    assert len(other.curves) == 2, "nobody blames the first joint"
 
 
 def test_without_times_probes_stand_by_their_number(told) -> None:
@@ -79,7 +80,7 @@ def test_without_times_probes_stand_by_their_number(told) -> None:
 
 
 def test_names_of_champions_stand_above_the_probes_that_are_sure_to_be_unchanged(told) -> None:
-    axis = figures.chances(told, in_time(told, ())[1]).figure["layout"]["yaxis"]
+    axis = plotly_of(figures.chances(told, in_time(told, ())[1]))["layout"]["yaxis"]
     bottom, top = axis["range"]
     assert 0.12 < top / (top - bottom) < 0.25
     assert top < axis["dtick"], "no number stands where no probability is"

@@ -21,7 +21,7 @@ from hil.dynamics.build import model_from_arm
 from hil.excitation.motion import FourierSeries
 from hil.excitation.quality import Information, jerk_of
 from hil.planning.excitation_report import ExcitationReport
-from hil.report.excite_page import excitation_page
+from hil.report.excitation_page import excitation_page
 from hil.workflow.excitation import appraise_excitation
 
 SPEC = """
@@ -162,7 +162,7 @@ def test_the_page_shows_every_trajectory_under_its_limits(report: ExcitationRepo
             "Position", "Velocity", "Acceleration", "Torque", "Distance",
         ]  # fmt: skip
         for panel in plots.panels:
-            assert "limit" in [trace["name"] for trace in panel.figure["data"]]
+            assert "limit" in [curve.name for curve in panel.curves]
 
 
 @pytest.mark.quick

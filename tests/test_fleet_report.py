@@ -28,7 +28,7 @@ from hil.models.fleet_survey import Survey, survey_fleet
 from hil.models.fleet_surveyed import Surveyed
 from hil.models.model_registry import Registry
 from hil.report.fleet_page import fleet_page, standing_out
-from hil.report.render import page_html
+from hil.report.page import page_html
 from hil.workflow.running import run as run_experiment
 
 JOINTS = tuple(f"J{j}" for j in range(6))

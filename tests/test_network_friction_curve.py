@@ -11,7 +11,7 @@ from synthetic_motion import moving
 pytest.importorskip("torch", reason="torch is not installed")
 
 from hil.networks.lagrangian_data import smooth_sign
-from hil.report import friction_plots
+from hil.report import run_figures as figures
 from hil.report.predictions import shown
 
 CURVES = {
@@ -53,7 +53,7 @@ def test_memory_and_learned_friction_are_no_curve(case: str) -> None:
 
 def test_it_is_drawn_as_a_curve_without_a_band() -> None:
     motion = shown(lagrangian("stribeck"), moving(9)).friction.in_motion
-    names = [trace["name"] for trace in friction_plots.moving(motion, 0, "N·m")["data"]]
+    names = [curve.name for curve in figures.moving(motion, 0)]
     assert names[1:] == ["without its viscous part", "friction of the model"]
 
 

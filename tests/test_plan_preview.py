@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import xml.etree.ElementTree as ET
 from functools import cache
 from pathlib import Path
@@ -15,8 +16,13 @@ from hil.excitation.motion import Hold, Line
 from hil.planning.plan import DwellRule, LoadStep, Plan, Step
 from hil.planning.plan_preview import preview
 from hil.recording.mcap_writer import McapWriter
-from hil.report.plan_figure import plan_picture
-from hil.report.svg import Scale, thinned
+from hil.report.plan_picture import (
+    close_up,
+    overview,
+    peaks_and_places,
+    plan_picture,
+    timeline_of,
+)
 from hil.robot.state import state_topic
 
 pytestmark = pytest.mark.quick
@@ -80,33 +86,34 @@ def test_the_recording_takes_about_as_much_as_estimated(tmp_path: Path) -> None:
     assert estimated == pytest.approx(measured, rel=0.25)
 
 
-def elements(path: Path, tag: str, kind: str) -> list[ET.Element]:
-    root = ET.parse(path).getroot()
-    return [e for e in root.iter(SVG + tag) if kind in e.get("class", "").split()]
-
-
 @pytest.mark.parametrize("plan_of_kind", [dwell_plan, fourier_plan])
 def test_the_picture_is_one_self_contained_svg(plan_of_kind: object, tmp_path: Path) -> None:
     plan = plan_of_kind()  # type: ignore[operator]
     path = plan_picture(plan, tmp_path / "plan.svg")
     written = path.read_text("utf-8")
     assert ET.fromstring(written).tag == SVG + "svg"
-    without_namespace = written.replace("http://www.w3.org/2000/svg", "")
-    assert not any(word in without_namespace for word in ("http", "href", "url(", "<script"))
+    inside = re.sub(r'(href="|url\()#|xmlns(:xlink)?="[^"]*"', "", written)
+    assert not any(word in inside for word in ("http", "href", "url(", "<script"))
     assert "prefers-color-scheme: dark" in written
     assert plan.hash[:12] in written
 
 
-def test_the_picture_marks_every_dwell_of_every_joint(tmp_path: Path) -> None:
-    marks = elements(plan_picture(dwell_plan(), tmp_path / "plan.svg"), "path", "mark")
-    assert len(marks) == 6
-    assert [mark.get("d", "").count("M") for mark in marks] == [12 + 6] * 6
+def test_the_picture_marks_every_dwell_of_every_joint() -> None:
+    figure = overview(dwell_plan(), timeline_of(dwell_plan()))
+    assert len(figure.panels) == 6
+    assert [len(panel.curves[-1].y) for panel in figure.panels] == [12 + 6] * 6
 
 
-def test_the_picture_shows_where_the_flange_is_measured(tmp_path: Path) -> None:
-    above, side = elements(plan_picture(dwell_plan(), tmp_path / "plan.svg"), "path", "place")
+def test_the_picture_shows_where_the_flange_is_measured() -> None:
+    _, above, side = peaks_and_places(dwell_plan(), timeline_of(dwell_plan())).panels
     # Six poses; the reference is the first of them.
-    assert above.get("d", "").count("M") == side.get("d", "").count("M") == 6
+    assert len(above.curves[0].x) == len(side.curves[0].x) == 6
+
+
+def test_the_picture_shades_every_dwell_it_looks_closer_at() -> None:
+    (panel,) = close_up(dwell_plan(), timeline_of(dwell_plan())).panels
+    assert {span.approach for span in panel.spans} == {1, -1}
+    assert len(panel.curves) == 6
 
 
 def test_the_picture_names_joints_and_limits(tmp_path: Path) -> None:
@@ -115,19 +122,8 @@ def test_the_picture_names_joints_and_limits(tmp_path: Path) -> None:
         assert words in written
 
 
-def test_thinning_keeps_the_extremes() -> None:
-    t = np.linspace(0, 1, 10_000)
-    y = np.sin(40 * t)
-    y[1234] = 3.0
-    few_t, few = thinned(t, y, 100)
-    assert len(few_t) == len(few) <= 200
-    assert few.max() == 3.0
-    assert few.min() == y.min()
-
-
-@pytest.mark.parametrize(("low", "high"), [(0, 67.3), (-180, 180), (-0.97, 0.97), (65, 105)])
-def test_ticks_are_round_and_inside(low: float, high: float) -> None:
-    ticks = Scale(low, high, 0, 100).ticks(6)
-    assert 2 <= len(ticks) <= 13
-    assert low <= ticks[0] <= ticks[-1] <= high
-    assert all(len(f"{tick:g}") <= 5 for tick in ticks)
+def test_colours_of_the_picture_follow_the_screen(tmp_path: Path) -> None:
+    written = plan_picture(fourier_plan(), tmp_path / "plan.svg").read_text("utf-8")
+    fixed = set(re.findall(r"(?:fill|stroke): (#[0-9a-f]{6})", written)) - {"#ffffff"}
+    assert fixed == set()
+    assert "#4da3f7" in written, "the measured colour on a dark screen"

@@ -17,19 +17,17 @@ from study_parts import bars, result, six_panels
 from trial_parts import short_trial
 
 from hil.report import colours
-from hil.report.blocks import Badge, Page, Panel, Plots, Section
-from hil.report.drift_figures import Along
-from hil.report.drift_page import drift_page
-from hil.report.excite_page import excitation_page
+from hil.report.drift_page import Along, drift_page
+from hil.report.excitation_page import excitation_page
 from hil.report.fleet_page import fleet_page
-from hil.report.render import page_html
+from hil.report.page import Badge, Page, Section, page_html
 from hil.report.report import run_page
 from hil.report.simulation_found import found
 from hil.report.simulation_page import _errors
 from hil.report.study_sections import study_sections
-from hil.report.traces import axes, line
 from hil.report.try_out_page import trial_page
 from hil.spec.load import load_spec
+from hil.studies.figure import Curve, Figure, Look, Panel
 from hil.workflow.judging import judge_run
 
 COUNTS = {"samples": 1, "gaps": 0, "missing": 0, "duplicates": 0}
@@ -102,8 +100,9 @@ def test_a_page_that_breaks_a_rule_is_told(
 ) -> None:
     dash = legend if legend in colours.STROKES else "dash"
     ends = np.arange(2.0)
-    data = [line(ends, ends, "a", colours.MEASURED), line(ends, ends, "b", second, dash=dash)]
-    panel = Panel("J1", {"data": data, "layout": axes(x, y)}, "What it shows, in words.")
-    block = Plots("Error", "", (panel,), (("b", colours.PREDICTED, legend),))
+    looks = (Look(colours.MEASURED), Look(second, dash=dash), Look(colours.PREDICTED, legend))
+    curves = [Curve(name, ends, ends, look=look) for name, look in zip("abc", looks, strict=True)]
+    panel = Panel("J1", x, y, tuple(curves), alt="What it shows, in words.")
+    block = Figure("error", "Error", "", (panel,), 0)
     page = Page("p", "", Badge("", ""), "", sections=(Section("s", "S", "", (block,)),))
     assert any(told in fault for fault in faults(page)), faults(page)

@@ -8,9 +8,8 @@ import pytest
 from report_runs import fourier_plan, write_run
 
 from hil.report import colours, render_report
-from hil.report.blocks import Badge, Column, Page, Panel, Plots, Section, Table, cells
-from hil.report.render import page_html
-from hil.report.traces import axes, line
+from hil.report.page import Badge, Column, Page, Section, Table, cells, page_html
+from hil.studies.figure import Curve, Figure, Look, Panel
 
 CHROMIUM = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
@@ -54,15 +53,17 @@ def test_every_name_of_the_contents_can_be_seen_on_a_laptop(tmp_path):
 @pytest.mark.skipif(shutil.which("pdftotext") is None, reason="no pdftotext is installed")
 def test_on_paper_plots_stand_on_one_sheet_with_their_heading(tmp_path):
     ends = np.arange(2.0)
-    figure = {"data": [line(ends, ends, "a", colours.MEASURED)], "layout": axes("t [s]", "i [A]")}
+    curve = Curve("a", ends, ends, look=Look(colours.MEASURED))
     blocks = [
-        Plots(
-            f"Heading {i}", "Words that take some lines. " * 5,
-            tuple(Panel(f"Panel {j} of {i}", figure, "a line") for j in range(6)),
-            (("a", colours.MEASURED, "solid"),),
+        Figure(
+            f"f{i}",
+            f"Heading {i}",
+            "Words that take some lines. " * 5,
+            tuple(Panel(f"Panel {j} of {i}", "t [s]", "i [A]", (curve,)) for j in range(6)),
+            0,
         )
         for i in range(4)
-    ]  # fmt: skip
+    ]
     page = tmp_path / "page.html"
     sections = (Section("s", "Plots", "", tuple(blocks)),)
     page.write_text(page_html(Page("paper", "", Badge("", ""), "", sections=sections)), "utf-8")

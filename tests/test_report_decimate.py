@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.report.decimate import binned, decimated, extremes, summarised, thinned
+from hil.report.curves import binned, decimated, extremes, summarised, thinned
 
 
 @given(st.integers(1, 5000), st.integers(0, 2**32 - 1), st.integers(4, 400))

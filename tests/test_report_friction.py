@@ -23,12 +23,12 @@ from hil.estimators.diffnea_friction import FORMS
 from hil.estimators.rigid_irls import RigidIrls
 from hil.estimators.rigid_linear import RigidWls
 from hil.estimators.static_model import StaticWls
-from hil.report import friction_plots
-from hil.report.blocks import Page, Plots
+from hil.report import run_figures as figures
+from hil.report.page import Page, page_html
 from hil.report.predictions import Shown, shown
-from hil.report.render import page_html
 from hil.report.report import run_page
 from hil.spec.load import load_spec
+from hil.studies.figure import Figure
 from hil.workflow.judging import judge_run
 
 VELOCITIES = np.linspace(-1.5, 1.5, 31)[:, None] * np.ones(6)
@@ -56,9 +56,9 @@ def page_of(root, plan) -> Page:
     return run_page(run.path)
 
 
-def plots_of(page: Page, title: str) -> Plots:
+def plots_of(page: Page, title: str) -> Figure:
     blocks = (block for section in page.sections for block in section.blocks)
-    return next(block for block in blocks if isinstance(block, Plots) and block.title == title)
+    return next(block for block in blocks if isinstance(block, Figure) and block.title == title)
 
 
 @pytest.mark.parametrize(
@@ -102,25 +102,22 @@ def test_samples_lie_where_friction_is_known_to_be(seen: Shown) -> None:
 
 def test_nothing_is_drawn_beyond_the_velocities_of_the_data(seen: Shown) -> None:
     motion = seen.friction.in_motion
-    figure = friction_plots.moving(motion, 0, "N·m")
+    curves = figures.moving(motion, 0)
     low, high = (edge(motion.qd[:, 0]) * DEGREES for edge in (np.min, np.max))
-    for trace in figure["data"]:
-        assert np.min(trace["x"]) == pytest.approx(low, abs=0.5)
-        assert np.max(trace["x"]) == pytest.approx(high, abs=0.5)
-    names = [trace["name"] for trace in figure["data"]]
-    assert names.count("± 2 standard errors, at most") == 2
-    assert figure["layout"]["xaxis"]["title"]["text"] == "velocity [°/s]"
-    assert figure["layout"]["yaxis"]["title"]["text"] == "friction [N·m]"
+    for curve in curves:
+        assert np.min(curve.x) == pytest.approx(low, abs=0.5)
+        assert np.max(curve.x) == pytest.approx(high, abs=0.5)
+    assert [curve.name for curve in curves].count("± 2 standard errors, at most") == 2
 
 
 def test_friction_that_is_no_curve_is_drawn_as_its_mean_either_way(seen: Shown) -> None:
     motion = replace(seen.friction.in_motion, law=None)
-    line = friction_plots.moving(motion, 1, "N·m")["data"][-1]
-    assert line["name"] == "friction of the model, mean"
-    known = truth(np.repeat(line["x"][:, None] / DEGREES, 6, axis=1))[:, 1]
-    assert (np.diff(line["x"]) > 0).all()
-    fast = np.abs(line["x"]) > 5
-    assert line["y"][fast] == pytest.approx(known[fast], abs=0.6)
+    line = figures.moving(motion, 1)[-1]
+    assert line.name == "friction of the model, mean"
+    known = truth(np.repeat(line.x[:, None] / DEGREES, 6, axis=1))[:, 1]
+    assert (np.diff(line.x) > 0).all()
+    fast = np.abs(line.x) > 5
+    assert line.y[fast] == pytest.approx(known[fast], abs=0.6)
 
 
 def test_friction_at_rest_is_what_gravity_leaves_either_side() -> None:
@@ -147,13 +144,14 @@ def test_dwells_of_unknown_approach_tell_nothing_about_friction() -> None:
 
 
 def test_both_stand_on_the_pages_and_are_said_in_words(tmp_path) -> None:
-    rest = plots_of(page := page_of(tmp_path / "d", dwell_plan()), friction_plots.AT_REST)
+    rest = plots_of(page := page_of(tmp_path / "d", dwell_plan()), figures.AT_REST)
     assert len(rest.panels) == 6
     html = page_html(page)
-    assert Html(html).text.count(friction_plots.AT_REST)
+    assert Html(html).text.count(figures.AT_REST)
     assert "mean from below" in html
     assert "from above" in rest.panels[0].alt
-    motion = plots_of(page_of(tmp_path / "f", fourier_plan()), friction_plots.IN_MOTION)
+    motion = plots_of(page_of(tmp_path / "f", fourier_plan()), figures.IN_MOTION)
     assert all("°/s; residual RMS" in panel.alt for panel in motion.panels)
-    drawn = {trace["name"] for panel in motion.panels for trace in panel.figure["data"]}
-    assert {text for text, _, _ in motion.legend} == drawn
+    assert {(panel.x_title, panel.y_title) for panel in motion.panels} == {
+        ("velocity [°/s]", "friction [N·m]")
+    }

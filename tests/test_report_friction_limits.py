@@ -14,7 +14,7 @@ from hil.estimators.diffnea import RigidDiffnea
 from hil.estimators.rigid_irls import RigidIrls
 from hil.estimators.rigid_linear import RigidLeastSquares, RigidWls
 from hil.estimators.static_model import StaticWls
-from hil.report import friction_plots, friction_words
+from hil.report import run_figures as figures
 from hil.report.friction_seen import at_rest, in_motion
 from hil.report.predictions import Shown, shown, velocity
 
@@ -46,7 +46,7 @@ def test_no_band_where_the_standard_errors_of_least_squares_are_not_the_methods(
     model.fit(moving(1, 2, 3, noise_a=0.05), nominal())
     assert np.isfinite(model.friction_curve(VELOCITIES).std_error).all() == holds
     motion = shown(model, moving(4, noise_a=0.05)).friction.in_motion
-    names = [trace["name"] for trace in friction_plots.moving(motion, 0, "N·m")["data"]]
+    names = [curve.name for curve in figures.moving(motion, 0)]
     assert ("± 2 standard errors, at most" in names) == holds
 
 
@@ -65,7 +65,7 @@ def test_friction_that_only_the_network_knows_is_not_taken_away(wls: RigidWls) -
     assert alone.law is not None
     assert drawn.law is None
     said = "What the model's network adds"
-    assert [said in friction_words.lead(each) for each in (drawn, alone)] == [True, False]
+    assert [said in figures._how_to_read(each) for each in (drawn, alone)] == [True, False]
 
 
 def test_at_rest_neither() -> None:
@@ -105,11 +105,11 @@ def test_dwells_a_model_does_not_hold_for_are_left_out() -> None:
     assert np.array_equal(np.isfinite(rest.measured[:, 1]), held)
     assert rest.predicted[held, 1] == pytest.approx(2.0 * approach[held])
     assert rest.measured[:, 0] == pytest.approx(2.0 * approach, abs=0.2)
-    marks = friction_plots.resting(rest, 1, "N·m")["data"]
-    assert all(np.isfinite(trace["y"]).all() and len(trace["y"]) for trace in marks)
-    assert friction_words.sides(rest, 1, "N·m").count("(model 2.00)") == 1
-    assert friction_words.sides(rest, 1, "N·m").count("(model -2.00)") == 1
-    assert friction_words.sides(rest, 2, "N·m") == "mean unknown"
+    marks = figures.resting(rest, 1)
+    assert all(np.isfinite(curve.y).all() and len(curve.y) for curve in marks)
+    assert figures._mean_sides(rest, 1, "N·m").count("(model 2.00)") == 1
+    assert figures._mean_sides(rest, 1, "N·m").count("(model -2.00)") == 1
+    assert figures._mean_sides(rest, 2, "N·m") == "mean unknown"
     nowhere = Prediction(told.effort, told.std, np.zeros_like(valid), parts)
     assert at_rest(model, data, nowhere) is None
 
@@ -151,20 +151,20 @@ def test_the_line_goes_no_further_than_the_rows_a_model_holds_for(wls: RigidWls)
     assert np.nanmax(np.abs(motion.law.qd)) <= 0.2
     assert np.isnan(motion.law.qd[:, 2]).all()
     assert np.isfinite(motion.law.torque[:, [0, 1, 3, 4, 5]]).all()
-    assert "model unknown" in friction_plots._ends(motion, 2, "N·m")
+    assert "model unknown" in figures._ends(motion, figures.moving(motion, 2)[-1], 2, "N·m")
 
 
 def test_what_is_said_of_the_line_is_of_the_terms_it_has(seen: Shown) -> None:
-    coulomb = friction_words.lead(seen.friction.in_motion)
+    coulomb = figures._how_to_read(seen.friction.in_motion)
     assert "half its step at zero is Coulomb friction" in coulomb
     assert "the middle of the step is the offset" in coulomb
     assert "static friction" not in coulomb
     bent = RigidDiffnea().fit(moving(1, 2, 3, noise_a=0.05), nominal())
-    stribeck = friction_words.lead(shown(bent, moving(4)).friction.in_motion)
+    stribeck = figures._how_to_read(shown(bent, moving(4)).friction.in_motion)
     assert "half its step at zero is static friction" in stribeck
     assert "is Coulomb friction" not in stribeck
     law = replace(seen.friction.in_motion.law, terms=("coulomb",))
-    bare = friction_words.lead(replace(seen.friction.in_motion, law=law))
+    bare = figures._how_to_read(replace(seen.friction.in_motion, law=law))
     assert "offset" not in bare
     assert "viscous" not in bare
 
@@ -173,12 +173,12 @@ def test_a_band_is_told_of_where_one_is_drawn(seen: Shown) -> None:
     motion = seen.friction.in_motion
     unsure = replace(motion.law, std_error=np.full_like(motion.law.torque, np.nan))
     for law, drawn in ((motion.law, True), (unsure, False)):
-        told = friction_words.lead(replace(motion, law=law))
+        told = figures._how_to_read(replace(motion, law=law))
         assert ("the band is at most that wide" in told) == drawn
         assert ("no band is drawn" in told) != drawn
 
 
 def test_friction_that_is_not_told_as_a_curve_is_not_said_to_depend_on_more(seen: Shown) -> None:
-    told = friction_words.lead(replace(seen.friction.in_motion, law=None))
+    told = figures._how_to_read(replace(seen.friction.in_motion, law=None))
     assert "depends" not in told
     assert "the mean of the model's friction at each velocity" in told

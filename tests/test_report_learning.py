@@ -12,10 +12,12 @@ import pytest
 
 from hil.networks.training import Curves, Told
 from hil.report import colours
-from hil.report.encode import figure_json
 from hil.report.fit_facts import FitFacts
 from hil.report.fit_sections import model_sections
-from hil.report.learning_curves import learning_figure, learning_plots
+from hil.report.plotly_figure import figure_json, plotly_of
+from hil.report.predictions import Shown
+from hil.report.run_figures import ModelView, learning_curves, learning_panel
+from hil.studies.figure import Figure
 
 
 def trained(validation: tuple[float, ...] = (0.5, 0.2, 0.3)) -> Curves:
@@ -32,21 +34,25 @@ def fit_with(curves: Any) -> FitFacts:
     return FitFacts(Path("fit/net-1"), "net", "net", {"held_out": held_out}, model)
 
 
+def learning_plots(fit: FitFacts) -> Figure | None:
+    return learning_curves(ModelView(fit, Shown(None, None)))
+
+
 def test_the_curve_begins_with_the_untrained_network_and_marks_what_was_kept() -> None:
-    loss, validation, kept = learning_figure(trained())["data"]
-    assert np.array_equal(loss["y"], [1.0, 0.4, 0.6])
-    assert np.array_equal(validation["x"], [0, 1, 2, 3])
-    assert np.array_equal(validation["y"], [1.0, 0.5, 0.2, 0.3])
-    assert (float(kept["x"][0]), float(kept["y"][0])) == (2.0, 0.2)
+    loss, validation, kept = learning_panel(trained()).curves
+    assert np.array_equal(loss.y, [1.0, 0.4, 0.6])
+    assert np.array_equal(validation.x, [0, 1, 2, 3])
+    assert np.array_equal(validation.y, [1.0, 0.5, 0.2, 0.3])
+    assert (kept.x[0], kept.y[0]) == (2.0, 0.2)
 
 
 def test_a_dotted_line_stands_between_stages() -> None:
-    (mark,) = learning_figure(trained())["layout"]["shapes"]
-    assert mark["x0"] == mark["x1"] == 2.5
+    (mark,) = learning_panel(trained()).marks
+    assert mark.x == 2.5
 
 
 def test_colours_are_of_the_palette_and_axes_have_titles() -> None:
-    figure = learning_figure(trained())
+    figure = plotly_of(learning_panel(trained()))
     assert set(re.findall(r"#[0-9A-Fa-f]{6}", figure_json(figure))) <= set(colours.DARK)
     assert figure["layout"]["yaxis"]["title"]["text"].endswith("[1]")
 
@@ -54,14 +60,14 @@ def test_colours_are_of_the_palette_and_axes_have_titles() -> None:
 def test_words_say_which_epoch_was_kept_and_how_long_stages_were() -> None:
     plots = learning_plots(fit_with(trained().to_dict()))
     assert plots is not None
-    assert "weights of epoch 2 of 3" in plots.lead
-    assert "joint: 2; dynamics: 1" in plots.lead
+    assert "weights of epoch 2 of 3" in plots.caption
+    assert "joint: 2; dynamics: 1" in plots.caption
 
 
 def test_a_training_that_made_things_worse_says_so() -> None:
     plots = learning_plots(fit_with(trained((2.0, 3.0)).to_dict()))
     assert plots is not None
-    assert "None of 2 epochs was better" in plots.lead
+    assert "None of 2 epochs was better" in plots.caption
 
 
 def test_the_section_of_a_model_shows_them_and_other_models_have_none() -> None:

@@ -214,7 +214,11 @@ def test_the_plots_show_the_series_the_evaluation_names_and_no_others(dwells, tm
 
 
 def test_dwells_are_plotted_as_they_were_measured_from_both_sides(dwell_page):
-    below = [f["data"][0] for f in dwell_page.figures if f["data"][0].get("name") == "from below"]
+    below = [
+        f["data"][0]
+        for f in dwell_page.figures
+        if f["data"][0].get("name") == "measured, from below"
+    ]
     assert len(below) == 6
     expected = evaluation_of_rows()
     np.testing.assert_allclose(np.sort(array_of(below[0]["y"])), np.sort(expected), rtol=1e-5)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import re
-import sys
 import zlib
 from pathlib import Path
 from xml.etree import ElementTree
@@ -15,11 +14,12 @@ import pytest
 from study_parts import bars, curve, result, six_panels
 
 import hil
-from hil.core.errors import DataError, PluginError, SpecError
+from hil.core.errors import DataError, SpecError
+from hil.report.matplotlib_figure import drawn
 from hil.report.paper import figures, items
-from hil.report.paper_figure import drawn
 from hil.report.paper_tables import csv_text, latex_text
-from hil.studies.result import Curve, Figure, Panel, Part, StudyResult, Table
+from hil.studies.figure import Curve, Figure, Panel
+from hil.studies.result import Part, StudyResult, Table
 from hil.studies.store import write_study
 
 SIZE = {"column": 88.0, "page": 181.0}
@@ -146,15 +146,6 @@ def test_several_studies_of_a_run_are_told_apart_by_their_names() -> None:
     assert stems == ["counted-fig-4", "other-fig-4"]
     same = [item.stem for item in items([result(bars()), result(bars())])]
     assert len(set(same)) == 2
-
-
-def test_without_matplotlib_the_error_says_what_to_install(
-    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(PluginError, match="needs matplotlib, which is not installed") as caught:
-        figures(run, tmp_path)
-    assert caught.value.hint == 'pip install "hil[paper]"'
 
 
 def test_a_run_without_studies_and_report_says_how_to_make_it(tmp_path: Path) -> None:

@@ -7,56 +7,47 @@ import json
 import re
 import zlib
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure as Sheet
 from report_runs import dwell_plan, write_run
+from test_report_figures import PANELS
 from typer.testing import CliRunner
 
 import hil
 from hil.cli.app import app
 from hil.core.errors import DataError
 from hil.report import colours, render_report
-from hil.report import plotly_figures as figures
-from hil.report.blocks import Badge, Page, Panel, Plots, Section
-from hil.report.drift_figures import Along
-from hil.report.encode import figure_json
-from hil.report.page_figures import PagePanel, figures_of
-from hil.report.paper_plots import drawn_plots
-from hil.report.render import write_page
-from hil.report.traces import axes, line
+from hil.report.drift_page import Along
+from hil.report.matplotlib_figure import drawn
+from hil.report.page import Badge, Page, Section, write_page
+from hil.report.plotly_figure import figure_json, figures_of, panel_of, plotly_of
+from hil.studies.figure import Curve, Figure, Look, Panel
 
 OLD = Path(__file__).with_name("old_page.html")
 MM = {"column": 88.0, "page": 181.0}
-T = np.arange(2000) / 125.0
-NOISE = np.random.default_rng(0).standard_normal(2000)
-DATES = Along(("2026-11-22 10:00:00", "2026-11-23 10:00:00"), "time [UTC]", changes=(
-    ("2026-11-22 12:00:00", "v2"),))  # fmt: skip
-TWO = np.array([1e-9, 1.0])
-LOG = {
-    "data": [DATES.placed(line(TWO, TWO, "chance", colours.MEASURED), range(2))],
-    "layout": DATES.layout("probability [1]", yaxis={"type": "log", "title": {"text": "p [1]"}}),
-}
 KINDS = {
-    "time": figures.measured_predicted(T, NOISE, NOISE, "A", "motor current"),
-    "band": figures.residual_over(T, NOISE, "velocity [°/s]", "A", 0.1),
-    "regression": figures.regression(NOISE, NOISE, "A"),
-    "bars": figures.rmse_bars(["J1", "J2"], {"a": T[:2], "b": T[1:3]}, ("noise", T[:2]), "A"),
-    "grid": figures.coverage(T, NOISE, "position [°]", "velocity [°/s]"),
-    "dates and powers": LOG,
+    name: replace(panel, title=name, alt="What it shows.", wide=False)
+    for name, panel in PANELS.items()
+    if name not in ("identity", "ranges")
 }
 
 
 @pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A page with a plot of every kind."""
-    panels = tuple(Panel(name, figure, "What it shows.") for name, figure in KINDS.items())
-    wide = tuple(Panel(name, KINDS["time"], "Wide.", True) for name in ("Heat, limit", "Error"))
-    blocks = (Plots("Every kind", "", panels), Plots("Over time", "", wide))
+    wide = tuple(
+        replace(KINDS["joints"], title=name, wide=True) for name in ("Heat, limit", "Error")
+    )
+    blocks = (
+        Figure("k", "Every kind", "", tuple(KINDS.values()), 0),
+        Figure("o", "Over time", "", wide, 0),
+    )
     sections = (Section("kinds", "Kinds", "", blocks),)
     out = tmp_path_factory.mktemp("page") / "page.html"
     return write_page(Page("p", "", Badge("", ""), "", sections=sections), out)
@@ -67,19 +58,21 @@ def streams_of(pdf: bytes) -> bytes:
     return b"".join(zlib.decompress(each) for each in found if each[:1] == b"\x78")
 
 
-def read(page: Path, name: str) -> PagePanel:
-    return next(panel for panel in figures_of(page)[0].panels if panel.title == name)
+def read(page: Path, name: str) -> Figure:
+    every = figures_of(page)[0].figure
+    return replace(every, panels=tuple(p for p in every.panels if p.title == name))
 
 
 def test_a_page_gives_back_what_it_was_made_of(page: Path) -> None:
-    every, *wide = figures_of(page)
+    every, *wide = (placed.figure for placed in figures_of(page))
     assert [panel.title for panel in every.panels] == list(KINDS)
     assert [each.title for each in wide] == ["Heat, limit", "Error"]
-    time = every.panels[0]
-    assert (time.x_title, time.y_title) == ("time [s]", "motor current [A]")
-    shown = KINDS["time"]["data"][0]
-    np.testing.assert_allclose(time.figure["data"][0]["y"], shown["y"], rtol=1e-6)
-    assert read(page, "grid").figure["data"][0]["z"].shape == (48, 48)
+    joints = next(panel for panel in every.panels if panel.title == "joints")
+    assert (joints.x_title, joints.y_title) == ("x [s]", "y [A]")
+    np.testing.assert_allclose(joints.curves[0].y, KINDS["joints"].curves[0].y, rtol=1e-6)
+    (grid,) = read(page, "grid").panels
+    assert grid.grid is not None
+    assert grid.grid.log_count.shape == (48, 48)
 
 
 @pytest.mark.parametrize("width", MM)
@@ -87,7 +80,7 @@ def test_a_page_gives_back_what_it_was_made_of(page: Path) -> None:
 def test_a_pdf_is_vectors_with_fonts_inside_as_wide_as_printed(
     page: Path, name: str, width: str
 ) -> None:
-    pdf = drawn_plots([read(page, name)], "pdf", width)
+    pdf = drawn(read(page, name), "pdf", width)
     assert pdf[:5] == b"%PDF-"
     assert pdf.rstrip().endswith(b"%%EOF")
     assert b"/FontFile2" in pdf
@@ -100,7 +93,7 @@ def test_a_pdf_is_vectors_with_fonts_inside_as_wide_as_printed(
 
 @pytest.mark.parametrize("name", KINDS)
 def test_an_svg_is_well_formed_and_has_no_pixels(page: Path, name: str) -> None:
-    svg = ElementTree.fromstring(drawn_plots([read(page, name)], "svg"))
+    svg = ElementTree.fromstring(drawn(read(page, name), "svg"))
     assert float(svg.attrib["width"].removesuffix("pt")) == pytest.approx(88 / 25.4 * 72, abs=0.3)
     tags = {each.tag.rpartition("}")[2] for each in svg.iter()}
     assert "path" in tags
@@ -108,16 +101,16 @@ def test_an_svg_is_well_formed_and_has_no_pixels(page: Path, name: str) -> None:
 
 
 def test_colours_and_dashes_are_those_of_the_page(page: Path) -> None:
-    svg = drawn_plots([read(page, "regression")], "svg").decode()
+    svg = drawn(read(page, "regression"), "svg").decode()
     for colour in (colours.MEASURED, colours.PREDICTED):
         assert colour.lower() in svg
-    drawn = re.search(rf"[^>]*stroke: {colours.PREDICTED.lower()}[^>]*", svg)
-    assert drawn is not None
-    assert "stroke-dasharray" in drawn[0]
+    dashed = re.search(rf"[^>]*stroke: {colours.PREDICTED.lower()}[^>]*", svg)
+    assert dashed is not None
+    assert "stroke-dasharray" in dashed[0]
 
 
 def test_equal_plots_are_equal_files(page: Path) -> None:
-    assert drawn_plots([read(page, "bars")], "pdf") == drawn_plots([read(page, "bars")], "pdf")
+    assert drawn(read(page, "bars"), "pdf") == drawn(read(page, "bars"), "pdf")
 
 
 @pytest.mark.parametrize("days", [0.001, 0.04, 1, 2, 9, 40, 90, 400, 4000])
@@ -125,17 +118,18 @@ def test_dates_are_told_over_any_span(days: float) -> None:
     ends = [str(np.datetime64("2026-11-22T10:00:00") + np.timedelta64(round(86400 * days * k), "s"))
             for k in (0, 1)]  # fmt: skip
     along = Along(tuple(ends), "time [UTC]")
-    trace = along.placed(line(TWO, TWO, "chance", colours.MEASURED), range(2))
-    figure = {"data": [trace], "layout": along.layout("probability [1]")}
-    assert "xtick_2" in drawn_plots([PagePanel("", figure, False)], "svg").decode()
+    curve = Curve("chance", ends, (1e-9, 1.0), look=Look(colours.MEASURED))
+    panel = along.panel("", "probability [1]", [curve])
+    assert "xtick_2" in drawn(Figure("", "", "", (panel,)), "svg").decode()
 
 
 @pytest.mark.quick
 def test_powers_and_names_are_no_tex(page: Path) -> None:
-    text = drawn_plots([read(page, "dates and powers")], "svg").decode()
+    text = drawn(read(page, "powers"), "svg").decode()
     assert re.search(r"<!-- 10⁻[⁰-⁹] -->", text)
     assert "mathdefault" not in text
-    assert "<!-- v2 -->" in text.replace("<!--  v2 -->", "<!-- v2 -->")
+    dated = drawn(read(page, "dates"), "svg").decode()
+    assert "<!-- v2 -->" in dated.replace("<!--  v2 -->", "<!-- v2 -->")
 
 
 def test_a_run_gives_its_report_and_a_page_what_stands_in_it(tmp_path: Path, page: Path) -> None:
@@ -181,9 +175,9 @@ def places(part: Any, above: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
             yield from places(part[key], (*above, key))
 
 
-def drawn_only(draw: Callable[[Figure], None], *given: object) -> bytes:
+def drawn_only(draw: Callable[[Sheet], None], *given: object) -> bytes:
     """As `on_sheet`, without laying it out and saving it, which takes most of the time."""
-    draw(Figure())
+    draw(Sheet())
     return b""
 
 
@@ -191,9 +185,9 @@ def drawn_only(draw: Callable[[Figure], None], *given: object) -> bytes:
 def test_a_damaged_figure_is_drawn_or_told_with_its_page_and_title(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = json.loads(figure_json(KINDS[name]))
+    whole = json.loads(figure_json(plotly_of(KINDS[name])))
     file, told = tmp_path / "page.html", list[str]()
-    monkeypatch.setattr("hil.report.paper_plots.on_sheet", drawn_only)
+    monkeypatch.setattr("hil.report.matplotlib_figure.on_sheet", drawn_only)
     for place in places(whole):
         damaged = copy.deepcopy(whole)
         part: Any = damaged
@@ -203,7 +197,7 @@ def test_a_damaged_figure_is_drawn_or_told_with_its_page_and_title(
         text = f'<h3>a</h3><figcaption>{name}</figcaption><script type="application/json">'
         file.write_text(f"{text}{json.dumps(damaged)}</script>", "utf-8")
         try:
-            drawn_plots(figures_of(file)[0].panels, "svg")
+            drawn(figures_of(file)[0].figure, "svg")
         except DataError as error:
             told.append(error.message)
     assert len(told) >= 8
@@ -211,5 +205,5 @@ def test_a_damaged_figure_is_drawn_or_told_with_its_page_and_title(
 
 
 def test_axes_keep_their_titles() -> None:
-    layout = axes("time [s]", "<b> & error [A]")
-    assert PagePanel("", {"data": [], "layout": layout}, False).y_title == "<b> & error [A]"
+    shown = plotly_of(Panel("", "time [s]", "<b> & error [A]", ()))
+    assert panel_of(json.loads(figure_json(shown)), "").y_title == "<b> & error [A]"

@@ -13,20 +13,21 @@ from study_parts import bars, curve, result, six_panels
 
 from hil.core.errors import DataError, FitError
 from hil.report import render_report
-from hil.report.blocks import Badge, Page, Plots
-from hil.report.render import page_html
-from hil.report.study_curves import diagonal, fewer, looks_of
-from hil.report.study_figures import plots_of
+from hil.report.colours import looks_of
+from hil.report.curves import diagonal, dressed, fewer
+from hil.report.page import Badge, Page, Section, page_html
+from hil.report.plotly_figure import plotly_of
 from hil.report.study_sections import study_sections
 from hil.report.study_words import columns_of
 from hil.report.text import summary_lines
 from hil.report.words import number
-from hil.studies.result import Curve, Figure, Panel, Part, StudyResult, Table
+from hil.studies.figure import Curve, Figure, Panel
+from hil.studies.result import Part, StudyResult, Table
 from hil.studies.store import read_study, write_problem, write_study
 
 
 def traces(figure: Figure, panel: int = 0) -> list[dict[str, object]]:
-    data: list[dict[str, object]] = plots_of(figure, 1200).panels[panel].figure["data"]
+    data: list[dict[str, object]] = plotly_of(dressed(figure, 1200).panels[panel])["data"]
     return data
 
 
@@ -54,11 +55,11 @@ def test_a_part_that_follows_a_paper_says_what_its_numbers_are_no_measure_of() -
 
 
 def test_a_name_looks_the_same_in_every_panel() -> None:
-    panels = plots_of(six_panels(), 1200).panels
+    panels = dressed(six_panels(), 1200).panels
     colours = {
         (trace["name"], (trace.get("line") or trace["marker"])["color"])
         for panel in panels
-        for trace in panel.figure["data"]
+        for trace in plotly_of(panel)["data"]
     }
     assert len(colours) == 3
 
@@ -73,9 +74,9 @@ def test_neighbours_are_told_apart_without_colour() -> None:
 
 def test_bars_have_error_bars_and_every_name_below_them() -> None:
     names = tuple(f"parameter {i}" for i in range(20))
-    panel = plots_of(bars(names), 1200).panels[0]
-    assert panel.figure["layout"]["xaxis"]["tickvals"] == list(names)
-    first = panel.figure["data"][0]
+    drawn = plotly_of(dressed(bars(names), 1200).panels[0])
+    assert drawn["layout"]["xaxis"]["tickvals"] == list(names)
+    first = drawn["data"][0]
     assert (first["type"], first["error_y"]["array"].tolist()) == ("bar", [0.1] * 20)
 
 
@@ -183,6 +184,7 @@ def test_texts_are_escaped(tmp_path: Path) -> None:
 
 
 def test_two_panels_a_row_are_larger_than_three() -> None:
-    two = replace(six_panels(), per_row=2)
-    assert [plots_of(figure, 100).columns for figure in (two, six_panels())] == [2, 0]
-    assert isinstance(plots_of(two, 100), Plots)
+    for per_row, larger in ((2, True), (3, False)):
+        figure = replace(six_panels(), per_row=per_row)
+        page = Page("p", "", Badge("", ""), "", sections=(Section("s", "S", "", (figure,)),))
+        assert ('class="panels two"' in page_html(page)) == larger

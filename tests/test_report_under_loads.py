@@ -6,7 +6,6 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 from report_html import Page
@@ -14,19 +13,20 @@ from report_runs import fourier_plan, write_run
 from study_parts import result
 
 from hil.report.background import timeline
+from hil.report.curves import dressed
 from hil.report.facts import RunFacts, read_facts
-from hil.report.fit_plots import bars
 from hil.report.fit_sections import _setting
 from hil.report.load_criteria import criteria_under_loads
 from hil.report.load_names import load_name
-from hil.report.render import page_html
+from hil.report.page import page_html
 from hil.report.report import run_page
-from hil.report.study_figures import plots_of
+from hil.report.run_figures import error_per_joint
 from hil.report.study_sections import study_sections
 from hil.report.study_words import HONEST_MEANS, columns_of
 from hil.report.weighing import weighing_warnings, weighings
 from hil.spec.load import load_spec
-from hil.studies.result import Curve, Figure, Panel, Table
+from hil.studies.figure import Curve, Figure, Panel
+from hil.studies.result import Table
 from hil.workflow.judging import judge_run
 
 COUNTS = {"samples": 1, "gaps": 0, "missing": 0, "duplicates": 0}
@@ -71,11 +71,9 @@ def under_loads() -> Figure:
     return Figure("fig", "Errors under loads", "", panels)
 
 
-def colours(figure: dict[str, Any]) -> dict[str, tuple[str, str]]:
-    drawn = [one for one in figure["data"] if one["type"] == "bar"]
-    return {
-        one["name"]: (one["marker"]["color"], one["marker"]["pattern"]["shape"]) for one in drawn
-    }
+def colours(panel: Panel) -> dict[str, tuple[str, str]]:
+    drawn = [(one.name, one.look) for one in panel.curves if one.style == "bars"]
+    return {name: (look.colour, look.pattern) for name, look in drawn if look}
 
 
 def test_models_stand_in_the_order_of_the_spec_everywhere(run: Path) -> None:
@@ -85,15 +83,15 @@ def test_models_stand_in_the_order_of_the_spec_everywhere(run: Path) -> None:
     ]
     table, _, plots = page.sections[0].blocks
     assert [row[0].text for row in table.rows] == list(NAMES)  # type: ignore[union-attr]
-    assert list(colours(plots.panels[0].figure)) == list(NAMES)  # type: ignore[union-attr]
+    assert list(colours(plots.panels[0])) == list(NAMES)  # type: ignore[union-attr]
 
 
 def test_a_model_looks_the_same_in_every_figure_and_nothing_else_does(run: Path) -> None:
     facts = read_facts(run)
-    models = colours(bars(facts.listed_fits).panels[0].figure)
+    models = colours(error_per_joint(facts.listed_fits).panels[0])
     (_, part) = study_sections([result(under_loads())], [fit.name for fit in facts.listed_fits])
-    (plots,) = (block for block in part.blocks if block.kind == "plots")
-    told, joint = (colours(panel.figure) for panel in plots.panels)
+    (plots,) = (block for block in part.blocks if block.kind == "figure")
+    told, joint = map(colours, plots.panels)
     assert joint == models
     assert not {colour for colour, _ in told.values()} & {c for c, _ in models.values()}
 
@@ -101,8 +99,8 @@ def test_a_model_looks_the_same_in_every_figure_and_nothing_else_does(run: Path)
 def test_a_study_of_no_model_of_the_page_looks_as_ever() -> None:
     figure = Figure("f", "", "", (Panel("", "", "", (Curve("measured", (1.0,), (1.0,)),)),))
     (_, part) = study_sections([result(figure)], NAMES)
-    (plots,) = (block for block in part.blocks if block.kind == "plots")
-    assert plots == plots_of(figure, 1200)
+    (plots,) = (block for block in part.blocks if block.kind == "figure")
+    assert plots == dressed(figure, 1200)
 
 
 def test_criteria_under_loads_are_shown_and_count_in_the_verdict_of_their_model(run: Path) -> None:
@@ -180,7 +178,7 @@ def test_long_tables_come_after_the_figures() -> None:
 
     (_, part) = study_sections([result(under_loads(), tables=(table(45), table(3)))])
     kinds = [(block.kind, len(getattr(block, "rows", ()))) for block in part.blocks]
-    assert kinds == [("paragraphs", 0), ("table", 3), ("plots", 0), ("table", 45)]
+    assert kinds == [("paragraphs", 0), ("table", 3), ("figure", 0), ("table", 45)]
 
 
 def test_a_table_may_ask_for_its_decimals() -> None:

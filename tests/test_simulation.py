@@ -138,10 +138,10 @@ def test_the_page_shows_the_weeks(lived: Lived) -> None:
     weeks = next(section for section in page.sections if section.id == "weeks")
     error, table = weeks.blocks
     assert table.kind == "table"
-    assert error.kind == "plots"
+    assert error.kind == "figure"
     assert [row[0].text for row in table.rows] == ["0", "1", "2"]
     assert [row[5].text for row in table.rows] == ["as new", "as new", "J2\u00a0×\u00a01.6"]
-    assert error.panels[0].figure["data"][1]["x"] == [1.0, 2.0, 2.0], "before and after"
+    assert error.panels[0].curves[1].x == (1.0, 2.0, 2.0), "before and after"
     champions = page.sections[-1].blocks[0]
     assert champions.kind == "table"
     promoted = [row[0].text for row in champions.rows if row[2].text == "promoted to champion"]

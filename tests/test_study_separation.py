@@ -18,7 +18,8 @@ from hil.data.splits import group_of
 from hil.estimators.model_file import json_bytes
 from hil.estimators.static_model import paper_functions
 from hil.studies.base import silent, study
-from hil.studies.result import Figure, Part, StudyResult, Table
+from hil.studies.figure import Figure
+from hil.studies.result import Part, StudyResult, Table
 from hil.studies.separation_data import (
     by_pose,
     by_sample,

@@ -36,7 +36,6 @@ EXTRA_OF_MODULE = {
     "canopen": "can",
     "pyads": "ads",
     "torch": "learn",
-    "matplotlib": "paper",
     "distributed": "fleet",
     "rosbags": "bags",
     "foxglove": "live",

@@ -1,4 +1,3 @@
-from .blocks import Badge as Badge
 from .commissioning import next_commissioning as next_commissioning
 from .documents import Document as Document
 from .documents import as_float as as_float
@@ -6,7 +5,7 @@ from .documents import as_names as as_names
 from .documents import as_object as as_object
 from .documents import as_objects as as_objects
 from .drift_page import write_drift_page as write_drift_page
-from .excite_page import write_excitation_page as write_excitation_page
+from .excitation_page import write_excitation_page as write_excitation_page
 from .facts import PLURALS as PLURALS
 from .facts import RunFacts as RunFacts
 from .facts import read_facts as read_facts
@@ -24,11 +23,12 @@ from .measure_text import measure as measure
 from .measure_text import measures as measures
 from .measure_text import named as named
 from .measure_text import size as size
+from .page import Badge as Badge
+from .page import page_html as page_html
 from .paper import figures as figures
-from .plan_figure import picture_of as picture_of
-from .plan_figure import plan_picture as plan_picture
-from .plan_in_notebook import plan_card as plan_card
-from .render import page_html as page_html
+from .plan_picture import picture_of as picture_of
+from .plan_picture import plan_card as plan_card
+from .plan_picture import plan_picture as plan_picture
 from .report import REPORT_FILE as REPORT_FILE
 from .report import render_fit_report as render_fit_report
 from .report import render_report as render_report

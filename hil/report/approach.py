@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from hil.core import FloatArray
-from hil.report.blocks import Column, Table, cells
 from hil.report.fit_facts import FitFacts
+from hil.report.page import Column, Table, cells
 from hil.report.predictions import Dwells
 from hil.report.words import joint_title, number
 

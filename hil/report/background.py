@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from hil.report.blocks import Block, Cell, Column, Facts, Section, Table, cells, items
 from hil.report.documents import Document, as_float, as_object, as_objects
 from hil.report.facts import RunFacts
 from hil.report.load_names import load_name
+from hil.report.page import Block, Cell, Column, Facts, Section, Table, cells, items
 from hil.report.words import duration, in_words, number
 
 MOST_EVENTS = 200

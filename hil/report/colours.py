@@ -1,13 +1,17 @@
-"""One visual language for every plot: colours by meaning, from the Okabe–Ito palette.
+"""One visual language for every figure: colours by meaning, looks by the order of names.
 
 Okabe & Ito, 'Color Universal Design' (2008): eight colours that people with every common form of
 colour blindness tell apart. Theirs are for areas; as thin lines and small marks, some are too light
 for white paper (contrast below 3:1, WCAG 2.2, 1.4.11). Those are darker here, and all of them as
-far apart as that leaves room for, which `tests/test_report_colours.py` computes. Plots never rely
-on colour alone: dashes and marker shapes differ too.
+far apart as that leaves room for, which `tests/test_report_colours.py` computes. Figures never rely
+on colour alone: dashes, marks and patterns differ too.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+
+from hil.studies import Figure, Look
 
 MEASURED = "#0072B2"
 PREDICTED = "#AC3F00"
@@ -53,17 +57,72 @@ STROKES = {
 }
 """Each dash in a legend, as SVG has it."""
 
+GLYPHS = {
+    "circle": "●",
+    "square": "■",
+    "square-open": "□",
+    "diamond": "◆",
+    "diamond-open": "◇",
+    "triangle-up": "▲",
+    "triangle-up-open": "△",
+    "triangle-down": "▼",
+    "cross": "✚",
+    "x": "✖",
+}
+"""Each mark in a legend."""
 
-def of_joint(j: int) -> str:
-    """Colour of joint `j`, counted from 0."""
-    return JOINTS[j % len(JOINTS)]
+PALETTE = (MEASURED, PREDICTED, RESIDUAL, DOWN, LIMIT, JOINTS[5], NEUTRAL)
+"""Of curves that have no look of their own."""
+
+CURVE_SYMBOLS = (
+    "circle",
+    "square-open",
+    "diamond",
+    "triangle-up-open",
+    "triangle-down",
+    "diamond-open",
+    "cross",
+)
+"""Full and open in turn: in a dense cloud shapes alone tell nothing."""
+
+PATTERNS = ("", "/", "x", ".", "\\", "+", "-")
+
+IDENTITY = Look(NEUTRAL, "dash", width=1.4)
 
 
-def dash_of_joint(j: int) -> str:
-    """Line style of joint `j`, so that lines differ in print as well."""
-    return DASHES[j % len(DASHES)]
+def of_joint(j: int) -> Look:
+    """Look of joint `j`, counted from 0: lines differ in print as well."""
+    k = j % len(JOINTS)
+    return Look(JOINTS[k], DASHES[k], SYMBOLS[k])
 
 
-def symbol_of_joint(j: int) -> str:
-    """Marker of joint `j`."""
-    return SYMBOLS[j % len(SYMBOLS)]
+def look(i: int, line: int = 0) -> Look:
+    """Look of the series `i` of a figure, which is its line number `line`, counted from 0."""
+    return Look(
+        PALETTE[i % len(PALETTE)],
+        DASHES[line % len(DASHES)],
+        CURVE_SYMBOLS[i % len(CURVE_SYMBOLS)],
+        PATTERNS[i % len(PATTERNS)],
+        width=1.5,
+    )
+
+
+def looks_of(figure: Figure, models: Sequence[str] = ()) -> dict[str, Look]:
+    """Return a look for every name that has none of its own, the same in all panels.
+
+    Curves that are not told apart by their name share a look; a line that is alone among lines is
+    solid, whatever else there is.
+
+    Args:
+        figure: Its curves.
+        models: Models that look as in the other figures of the page, in their order there; nothing
+            else looks like one of them.
+    """
+    looks: dict[str, Look] = {name: look(i, i) for i, name in enumerate(models)}
+    lines = 0
+    for curve in (curve for panel in figure.panels for curve in panel.curves):
+        if curve.name in looks or curve.look or curve.style == "identity":
+            continue
+        looks[curve.name] = look(len(looks), lines)
+        lines += curve.style == "line"
+    return looks

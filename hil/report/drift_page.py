@@ -2,32 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from hil.core import DataError
+from hil.core import DataError, FloatArray
 from hil.models import CHAMPION_EVENTS, JOINT_FEATURES, REFERENCE, Banded, Entry, Registry, banded
 from hil.report import colours
-from hil.report import drift_figures as figures
-from hil.report.blocks import (
+from hil.report.page import (
     Badge,
-    Block,
     Cell,
     Column,
     KeyFigure,
     Page,
-    Plots,
     Section,
     Table,
     cells,
+    write_page,
 )
-from hil.report.drift_figures import Along
-from hil.report.render import write_page
-from hil.report.words import UNKNOWN, counted, number, when
+from hil.report.words import UNKNOWN, counted, joint_title, number, when
+from hil.studies import Axis, Curve, Figure, Look, Mark, Panel
 
 EVENTS = {
     "registered": "registered",
@@ -38,6 +37,18 @@ EVENTS = {
     "head-adopted": "head of the log adopted",
     "repaired": "log repaired",
 }
+
+SHARES = ("friction", "gain")
+"""Features that are shares: shown in percent."""
+
+FEWEST = 3
+"""Limits that fewer probes have told are wider than the picture."""
+
+ROOM = 0.15
+"""Of the height of a picture, for words above its marks."""
+
+WHOLE = 20
+"""Up to so many probes each has a number on the axis."""
 
 
 def write_drift_page(registry: Registry, name: str, path: Path) -> Path:
@@ -172,24 +183,21 @@ def joint_names(told: Sequence[Banded]) -> list[str]:
 def _probes_section(told: Sequence[Banded], along: Along, unit: str) -> Section:
     rate = 100 * told[-1].probe.false_alarm
     joints = joint_names(told)
-    chance = Plots(
+    chance = Figure(
+        "chance",
         "Chance",
         "How probable it is at most that an unchanged robot shows anything as large, in any joint "
         f"or in the load. Below {rate:g} % a probe is called changed, so that an unchanged robot "
         "is called so no more often.",
-        (figures.chances(told, along),),
-        (
-            figures.LEGEND[0],
-            ("probe: changed", *figures.LEGEND[1][1:]),
-            ("false alarm rate", colours.LIMIT, "dash"),
-            figures.LEGEND[3],
-        ),
+        (chances(told, along),),
+        0,
     )
-    error = Plots(
+    error = Figure(
+        "error",
         "Error",
         "Of the champion on the probe, whatever the reason.",
-        (figures.errors(told, along, joints, unit),),
-        figures.joint_legend(joints),
+        (errors(told, along, joints, unit),),
+        0,
     )
     return Section("probes", "Probes", "", (chance, _probes_table(told, along), error))
 
@@ -238,12 +246,12 @@ def _kind(
         "would lie at the joint's temperature. The first probes under a champion have bars wider "
         "than the picture."
     )
-    panels = tuple(figures.over_time(told, k, along, unit) for k in named)
+    panels = tuple(over_time(told, k, along, unit) for k in named)
     kind = title.lower()
     causes = (cause.name for one in told for cause in one.probe.causes)
     is_cause = any(name == kind or name.endswith(f" {kind}") for name in causes)
-    plots = Plots(title, wide, panels, figures.LEGEND)
-    return Section(kind, title, "", (plots,), folded=kind != "friction" and not is_cause)
+    figure = Figure(kind, title, wide, panels, 0)
+    return Section(kind, title, "", (figure,), folded=kind != "friction" and not is_cause)
 
 
 def _temperature_section(told: Sequence[Banded], along: Along, unit: str) -> Section:
@@ -253,19 +261,16 @@ def _temperature_section(told: Sequence[Banded], along: Along, unit: str) -> Sec
         lead = "The recordings have no joint temperatures: what warmth does counts as noise."
         return Section("temperature", "Temperature", lead)
     named = [k for k, name in enumerate(names) if name.endswith(" friction")]
-    panels = tuple(figures.over_temperature(told, k, unit) for k in named)
+    panels = tuple(over_temperature(told, k, unit) for k in named)
     lead = (
         "Friction is another at another temperature; what of it the champion does not know shows "
         "as a slope here. The reference probes tell it, and it is no change."
     )
-    legend = (*figures.LEGEND[:2], ("expected under the newest champion", colours.NEUTRAL, "dash"))
-    blocks: tuple[Block, ...] = (
-        Plots("Friction over temperature", lead, panels, legend),
-        Plots(
-            "Over time", "Mean of each joint in each probe.",
-            (figures.temperatures(told, along, joints),), figures.joint_legend(joints),
-        ),
-    )  # fmt: skip
+    mean = "Mean of each joint in each probe."
+    blocks = (
+        Figure("friction", "Friction over temperature", lead, panels, 0),
+        Figure("temperatures", "Over time", mean, (temperatures(told, along, joints),), 0),
+    )
     return Section("temperature", "Temperature", "", blocks)
 
 
@@ -288,3 +293,194 @@ def _moment(at: str) -> str:
         return datetime.fromisoformat(at).astimezone(UTC).strftime("%Y-%m-%d %H:%M:%S")
     except ValueError:
         return ""
+
+
+@dataclass(frozen=True, slots=True)
+class Along:
+    """What the probes stand along: time, weeks, or their number.
+
+    Attributes:
+        x: Of every probe; text is a date.
+        title: Of the axis, with its unit.
+        word: What a place is called in a table, before its number.
+        changes: Where another champion came, and which.
+    """
+
+    x: tuple[str | float, ...]
+    title: str
+    word: str = ""
+    changes: tuple[tuple[str | float, str], ...] = ()
+
+    def panel(self, title: str, y_title: str, curves: Sequence[Curve], **more: Any) -> Panel:
+        """A panel along this axis, with the champions marked."""
+        dated = any(isinstance(x, str) for x in self.x)
+        axis = Axis("date") if dated else Axis(whole=len(self.x) <= WHOLE)
+        marks = tuple(Mark(x, text, "another champion") for x, text in self.changes)
+        return Panel(title, self.title, y_title, tuple(curves), x_axis=axis, marks=marks, **more)
+
+    def place(self, row: int) -> str:
+        """Of a probe, for a table."""
+        x = self.x[row]
+        return when(f"{x}+00:00") if isinstance(x, str) else f"{self.word} {x:g}".strip()
+
+    def at(self, rows: Iterable[int]) -> list[str | float]:
+        """Places of some of the probes."""
+        return [self.x[row] for row in rows]
+
+
+def over_time(told: Sequence[Banded], k: int, along: Along, effort_unit: str) -> Panel:
+    """Feature `k` of every probe, and where it would lie if nothing had changed."""
+    name = told[0].probe.features.names[k]
+    values, expected, limit = _shown(told, k)
+    unit = unit_of(name, effort_unit)
+    name_ = "where an unchanged robot's would lie"
+    unchanged = Curve(name_, along.x, expected, "ranges", limit, Look(colours.FILL, size=1))
+    outside = sum(bool(one.chart.alarm[k]) for one in told)
+    return along.panel(
+        panel_title(told, k),
+        f"{_what(name)} [{unit}]",
+        [unchanged, *_marks(told, values, along, _blamed(told, name))],
+        y_axis=Axis(limits=_range(told, values, expected, limit)),
+        alt=f"{name} [{unit}] of {len(told)} probes: {_span(values)}; {outside} outside what is "
+        "expected",
+    )
+
+
+def over_temperature(told: Sequence[Banded], k: int, effort_unit: str) -> Panel:
+    """Feature `k` against the joint's temperature, with what the newest charts say of the two."""
+    name = told[0].probe.features.names[k]
+    values, expected, _ = _shown(told, k)
+    warm = np.array([one.probe.features.temperature[k] for one in told])
+    along = Along(tuple(float(x) for x in warm), "joint temperature [°C]")
+    same = [i for i, one in enumerate(told) if one.probe.champion == told[-1].probe.champion]
+    rows = sorted((i for i in same if told[i].chart.reference >= FEWEST), key=lambda i: warm[i])
+    unit = unit_of(name, effort_unit)
+    curves = _marks(told, values, along, _blamed(told, name))
+    if len(rows) > 1:
+        look = Look(colours.NEUTRAL, "dash")
+        curves.append(
+            Curve("expected under the newest champion", warm[rows], expected[rows], look=look)
+        )
+    title, y_title = panel_title(told, k), f"{_what(name)} [{unit}]"
+    alt = f"{name} [{unit}] from {_span(warm)} °C: {_span(values)}"
+    return Panel(title, along.title, y_title, tuple(curves), alt=alt)
+
+
+def chances(told: Sequence[Banded], along: Along) -> Panel:
+    """How probable each probe is of an unchanged robot, on a logarithmic scale."""
+    # Below that a normal distribution says nothing of a real robot.
+    values = np.maximum([one.chance for one in told], 1e-12)
+    bottom = min(-3.0, float(np.log10(values.min())) - 0.5)
+    rate = np.array([one.probe.false_alarm for one in told])
+    limit = Curve("false alarm rate", along.x, rate, look=Look(colours.LIMIT, "dash"))
+    changed = [one.probe.changed for one in told]
+    return along.panel(
+        "Could this be an unchanged robot?",
+        "probability [1]",
+        [limit, *_marks(told, values, along, changed)],
+        # Above a probability of 1 is room for the names of champions, less than to a next tick.
+        y_axis=Axis("log", (10.0**bottom, 10.0 ** (-ROOM * bottom))),
+        alt=f"probability of {len(told)} probes if nothing has changed: {_span(values)}",
+        wide=True,
+    )
+
+
+def errors(told: Sequence[Banded], along: Along, joints: Sequence[str], unit: str) -> Panel:
+    """The champion's error on each probe, per joint."""
+    rms = np.array([one.probe.features.rms for one in told])
+    return joints_over("The champion's error", rms, along, joints, f"RMSE [{unit}]", log=True)
+
+
+def temperatures(told: Sequence[Banded], along: Along, joints: Sequence[str]) -> Panel:
+    """Mean temperature of each joint in each probe."""
+    celsius = np.array([one.probe.features.temperature for one in told])[:, : 3 * len(joints) : 3]
+    return joints_over("Joint temperatures", celsius, along, joints, "temperature [°C]")
+
+
+def joints_over(
+    title: str,
+    values: FloatArray,
+    along: Along,
+    joints: Sequence[str],
+    y_title: str,
+    *,
+    log: bool = False,
+) -> Panel:
+    """(P, n) one line per joint, with marks."""
+    curves = [
+        Curve(joint_title(j, name), along.x, values[:, j], "marked", look=colours.of_joint(j))
+        for j, name in enumerate(joints)
+    ]
+    said = ", ".join(f"{name} {_span(values[:, j])}" for j, name in enumerate(joints))
+    axis = Axis("log" if log else "linear")
+    alt = f"{title}, {y_title}: {said}"
+    return along.panel(title, y_title, curves, y_axis=axis, alt=alt, wide=True)
+
+
+def panel_title(told: Sequence[Banded], k: int) -> str:
+    """`J2 shoulder_lift_joint`, or what of the load."""
+    where, what = told[0].probe.features.names[k].rsplit(" ", 1)
+    return f"load, {what}" if where == "load" else joint_title(k // 3, where)
+
+
+def unit_of(name: str, effort_unit: str) -> str:
+    """Unit in which a feature is shown."""
+    what = name.rsplit(" ", 1)[1]
+    if what in SHARES:
+        return "%"
+    return effort_unit if what == "offset" else "kg" if what == "mass" else "kg·m"
+
+
+def _shown(told: Sequence[Banded], k: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Values, what was expected, and the limits of feature `k`, (P,) each, as they are shown."""
+    scale = 100.0 if told[0].probe.features.names[k].rsplit(" ", 1)[1] in SHARES else 1.0
+    rows = [(one.probe.features.values[k], one.expected[k], one.chart.limit[k]) for one in told]
+    values, expected, limit = scale * np.array(rows).T
+    return values, expected, limit
+
+
+def _blamed(told: Sequence[Banded], name: str) -> list[bool]:
+    """Which probes name a feature, or the load it belongs to, as changed."""
+    wanted = "load" if name.startswith("load ") else name
+    return [any(cause.name == wanted for cause in one.probe.causes) for one in told]
+
+
+def _marks(
+    told: Sequence[Banded], values: FloatArray, along: Along, changed: Sequence[bool]
+) -> list[Curve]:
+    looks = (
+        (False, "probe", Look(colours.MEASURED, size=7, opacity=1)),
+        (True, "probe: this has changed", Look(colours.PREDICTED, symbol="diamond", size=10,
+                                               opacity=1)),
+    )  # fmt: skip
+    found = []
+    for wanted, name, look in looks:
+        rows = [i for i, one in enumerate(changed) if one == wanted]
+        if rows:
+            texts = [told[i].probe.text for i in rows]
+            found.append(Curve(name, along.at(rows), values[rows], "points", (), look, texts))
+    return found
+
+
+def _range(
+    told: Sequence[Banded], values: FloatArray, expected: FloatArray, limit: FloatArray
+) -> tuple[float, float]:
+    """Of y: all probes, and the limits that enough probes have told."""
+    known = np.array([one.chart.reference >= FEWEST for one in told])
+    parts = [values, (expected - limit)[known], (expected + limit)[known]]
+    every = np.concatenate(parts)
+    low, high = float(np.min(every)), float(np.max(every))
+    room = 0.12 * (high - low) or 1.0
+    return low - room, high + room
+
+
+def _what(name: str) -> str:
+    where, what = name.rsplit(" ", 1)
+    return what if where == "load" else f"change of {what}" if what in SHARES else what
+
+
+def _span(values: FloatArray) -> str:
+    known = values[np.isfinite(values)]
+    if not len(known):
+        return "not known"
+    return f"{number(float(known.min()))} to {number(float(known.max()))}"

@@ -6,14 +6,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from hil.report import fit_plots, fit_tables, friction_plots
+from hil.report import fit_tables
 from hil.report.approach import approach_table
-from hil.report.blocks import Block, Facts, Section, items
 from hil.report.documents import as_float, as_object
 from hil.report.fit_facts import FitFacts, best_first
-from hil.report.learning_curves import learning_plots
 from hil.report.load_criteria import criteria_under_loads
+from hil.report.page import Block, Facts, Section, items
 from hil.report.predictions import Shown
+from hil.report.run_figures import ModelView, figures_of
 from hil.report.words import in_words, number
 
 READING = (
@@ -39,7 +39,7 @@ def model_sections(fits: Sequence[FitFacts], shown: Mapping[str, Shown]) -> list
     blocks: list[Block] = [fit_tables.comparison(fits)]
     if under_loads := criteria_under_loads(fits):
         blocks.append(under_loads)
-    overview = Section("models", "Models", READING, (*blocks, fit_plots.bars(fits)))
+    overview = Section("models", "Models", READING, (*blocks, *figures_of("models", fits)))
     best = best_first(fits)[0]
     models = (
         _model(i, fit, shown.get(fit.label), folded=fit is not best) for i, fit in enumerate(fits)
@@ -53,18 +53,10 @@ def _model(i: int, fit: FitFacts, shown: Shown | None, *, folded: bool) -> Secti
         blocks.append(parts)
     if groups := fit_tables.per_group(fit):
         blocks.append(groups)
-    if shown is not None and shown.dwells is not None:
-        if sides := approach_table(fit, shown.dwells):
-            blocks.append(sides)
-        compared, *others = fit_plots.dwell_plots(fit, shown.dwells)
-        known = friction_plots.rest_plots(fit, shown.friction) if shown.friction else []
-        blocks += [compared, *known, *others]
-    if shown is not None and shown.motions is not None:
-        compared, *others = fit_plots.motion_plots(fit, shown.motions)
-        known = friction_plots.velocity_plots(fit, shown.friction) if shown.friction else []
-        blocks += [compared, *known, *others]
-    if learning := learning_plots(fit):
-        blocks.append(learning)
+    view = ModelView(fit, shown or Shown(None, None))
+    if view.shown.dwells is not None and (sides := approach_table(fit, view.shown.dwells)):
+        blocks.append(sides)
+    blocks += figures_of("model", view)
     blocks.append(_about(fit))
     what = fit.held_out.get("what")
     lead = f"Judged on what the fit has not seen: {what}." if what else ""

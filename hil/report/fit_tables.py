@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hil.report.blocks import Cell, Column, Table, cells
 from hil.report.documents import Document, as_float, as_object, as_objects
 from hil.report.fit_facts import FitFacts, best_first
 from hil.report.judgement import NO_SIGNAL
+from hil.report.page import Cell, Column, Table, cells
 from hil.report.words import UNKNOWN, criterion_text, joint_title, listed, number, short_source
 
 HELD_OUT, TRAINED = "held out", "trained on"

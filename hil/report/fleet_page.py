@@ -7,8 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from hil.core import BoolArray, FloatArray
 from hil.models import FAMILY_WISE, FEWEST, Standing, Survey, Surveyed
-from hil.report.blocks import (
+from hil.report import colours
+from hil.report.page import (
     Badge,
     Cell,
     Column,
@@ -17,11 +19,12 @@ from hil.report.blocks import (
     Section,
     Table,
     cells,
+    write_page,
 )
-from hil.report.fleet_plots import AXES, plots
-from hil.report.render import write_page
 from hil.report.words import UNKNOWN, joint_title, number
+from hil.studies import Curve, Figure, Look, Panel
 
+AXES = {"age": "time in service [years]", "temperature": "joint temperature [°C]"}
 UNITS = {"age": "a year", "temperature": "a °C"}
 
 
@@ -147,8 +150,8 @@ def _sections(survey: Survey) -> list[Section]:
         shown = [k for k, one in enumerate(values) if len(one) and np.isfinite(one).any()]
         if not shown:
             continue
-        blocks = [plots(survey, key, which, np.array([values[k] for k in shown]), shown, over, y)
-                  for over in AXES]  # fmt: skip
+        blocks = [over(survey, key, which, np.array([values[k] for k in shown]), shown, along, y)
+                  for along in AXES]  # fmt: skip
         tables = [_trends(survey, which)] if which is not None and which.names else []
         lead = {
             "friction": "What each robot's model says is friction, along the fleet's trajectories.",
@@ -156,6 +159,73 @@ def _sections(survey: Survey) -> list[Section]:
         }[key]
         found.append(Section(key, title, lead, (*tables, *(one for one in blocks if one))))
     return found
+
+
+def over(
+    survey: Survey, key: str, which: Standing | None, y: FloatArray, shown: list[int], along: str,
+    y_title: str,
+) -> Figure | None:  # fmt: skip
+    """A quantity over age or temperature, a panel per joint; None where that is not known.
+
+    Args:
+        survey: Of the fleet.
+        key: `friction` or `change`.
+        which: How the robots stand in it.
+        y: (S, n) of the robots that are shown.
+        shown: (S,) which they are.
+        along: A key of `AXES`.
+        y_title: Of the axis.
+    """
+    robots = [survey.robots[k] for k in shown]
+    names = robots[0].joint_names
+    if along == "age":
+        x = np.repeat(np.array([one.age for one in robots])[:, None], len(names), axis=1)
+    else:
+        x = np.array([one.temperature for one in robots])
+    if not np.isfinite(x).any():
+        return None
+    out = np.zeros(y.shape, dtype=bool) if which is None else which.outlying[shown]
+    known = [one.robot for one in robots]
+    panels = tuple(
+        Panel(
+            joint_title(j, name),
+            AXES[along],
+            y_title,
+            (
+                *_robots(x[:, j], y[:, j], out[:, j], known),
+                *_trend(which, along, j, x[:, j], y[:, j]),
+            ),
+            alt=f"{y_title} of {name} over {AXES[along]}, a mark per robot",
+        )
+        for j, name in enumerate(names)
+    )
+    title = {"friction": "Friction", "change": "Change of friction"}[key]
+    return Figure(f"{key}-{along}", f"{title} over {along}", "", panels, 0)
+
+
+def _robots(x: FloatArray, y: FloatArray, out: BoolArray, names: list[str]) -> list[Curve]:
+    looks = (
+        (np.flatnonzero(~out), "robot", Look(colours.MEASURED, size=5)),
+        (np.flatnonzero(out), "stands out", Look(colours.PREDICTED, symbol="diamond", size=9)),
+    )
+    return [
+        Curve(name, x[rows], y[rows], "points", (), look, [names[i] for i in rows])
+        for rows, name, look in looks
+        if len(rows)
+    ]
+
+
+def _trend(which: Standing | None, along: str, j: int, x: FloatArray, y: FloatArray) -> list[Curve]:
+    """The trend over one quantity through the middle of the fleet, the others at their mean."""
+    if which is None or along not in which.names:
+        return []
+    told = np.isfinite(x) & np.isfinite(y)
+    x, y = x[told], y[told]
+    slope = which.slopes[which.names.index(along), j]
+    middle = np.median(np.log(y) - slope * (x - x.mean()))
+    ends = np.linspace(x.min(), x.max(), 20)
+    values = np.exp(middle + slope * (ends - x.mean()))
+    return [Curve("what is expected", ends, values, look=Look(colours.NEUTRAL, "dash"))]
 
 
 def _trends(survey: Survey, which: Standing | None) -> Table:

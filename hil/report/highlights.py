@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hil.report.blocks import KeyFigure, Mark
 from hil.report.documents import as_float, as_objects
 from hil.report.facts import RunFacts
 from hil.report.fit_facts import FitFacts
 from hil.report.judgement import failed_fits, nrmse_warning
+from hil.report.page import KeyFigure, Mark
 from hil.report.recording import Drift, Recording
 from hil.report.weighing import weighing_warnings
 from hil.report.words import count, duration, listed, number

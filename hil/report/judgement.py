@@ -8,11 +8,11 @@ import shlex
 from collections.abc import Sequence
 
 from hil.recording import RunDirectory
-from hil.report.blocks import Badge, Mark
 from hil.report.commissioning import next_commissioning
 from hil.report.documents import Document, as_float, as_object, as_objects
 from hil.report.facts import RunFacts
 from hil.report.fit_facts import FitFacts
+from hil.report.page import Badge, Mark
 from hil.report.words import criterion_text, listed, number, quantity, with_unit
 
 NO_SIGNAL = 0.9

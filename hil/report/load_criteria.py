@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from hil.report.blocks import Cell, Column, Table
 from hil.report.documents import Document, as_float, as_objects
 from hil.report.fit_facts import FitFacts
+from hil.report.page import Cell, Column, Table
 from hil.report.words import METRIC_WORDS, number
 
 METRICS = ("load_error_ratio", "contradicted_loads")

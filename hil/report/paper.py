@@ -15,17 +15,14 @@ from typing import Literal, TypeAlias, get_args
 from hil.core import (
     AnyPath,
     DataError,
-    PluginError,
     RecordingError,
     SpecError,
     path_of,
-    plugins,
     write_replacing,
 )
-from hil.report.page_figures import PagePlots, figures_of
-from hil.report.paper_figure import drawn
-from hil.report.paper_plots import drawn_plots
+from hil.report.matplotlib_figure import drawn
 from hil.report.paper_tables import csv_text, latex_text
+from hil.report.plotly_figure import Placed, figures_of
 from hil.report.study_words import distinct_titles
 from hil.studies import Figure, Part, StudyResult, Table, read_study, study_files
 
@@ -72,7 +69,6 @@ def figures(
         What was written.
 
     Raises:
-        PluginError: matplotlib is not installed.
         DataError: There is no figure, or a study or the page is damaged.
         SpecError: There is no such format or width.
         RecordingError: The folder cannot be written to.
@@ -82,7 +78,6 @@ def figures(
     _require((width,), get_args(Width), "width")
     results = [read_study(path) for path in study_files(run)] if run.is_dir() else []
     found, plots = items(results), _page_plots(run, bool(results))
-    _require_matplotlib()
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -90,7 +85,11 @@ def figures(
             f"cannot make the folder {out}: {error.strerror}", hint="choose another place for it"
         ) from None
     files = [file for item in found for file in _files(item, formats, width)]
-    files += [file for stem, each in plots for file in _page_files(stem, each, formats, width)]
+    files += [
+        (f"{stem}.{name}", drawn(each.figure, name, width))
+        for stem, each in plots
+        for name in dict.fromkeys(formats)
+    ]
     files.append((CONTENTS, (_contents(found) + _page_contents(plots)).encode()))
     for name, content in files:
         write_replacing(out / name, content)
@@ -130,7 +129,7 @@ def _files(item: Item, formats: Sequence[str], width: str) -> Iterator[tuple[str
         yield f"{item.stem}.{name}", drawn(item.what, name, width)
 
 
-def _page_plots(run: Path, told: bool) -> list[tuple[str, PagePlots]]:
+def _page_plots(run: Path, told: bool) -> list[tuple[str, Placed]]:
     """The plots of a page, or of a run's report but those of its studies, with names for files.
 
     Args:
@@ -147,27 +146,20 @@ def _page_plots(run: Path, told: bool) -> list[tuple[str, PagePlots]]:
     return list(zip(stems, plots, strict=True))
 
 
-def _stem(plots: PagePlots) -> str:
+def _stem(plots: Placed) -> str:
     """`excitation-pose-map`; what a title adds behind a comma is left out."""
-    title = _slug(re.split(r"[,?]", plots.title.lower())[0])
+    title = _slug(re.split(r"[,?]", plots.figure.title.lower())[0])
     return title if title == plots.section else _slug(plots.section, title)
 
 
-def _is_of_study(plots: PagePlots) -> bool:
+def _is_of_study(plots: Placed) -> bool:
     return plots.section.startswith("study-")
 
 
-def _page_files(
-    stem: str, plots: PagePlots, formats: Sequence[str], width: str
-) -> Iterator[tuple[str, bytes]]:
-    for name in dict.fromkeys(formats):
-        yield f"{stem}.{name}", drawn_plots(plots.panels, name, width)
-
-
-def _page_contents(plots: Sequence[tuple[str, PagePlots]]) -> str:
+def _page_contents(plots: Sequence[tuple[str, Placed]]) -> str:
     if not plots:
         return ""
-    lines = [f"- `{stem}`: {each.place}: {each.title}." for stem, each in plots]
+    lines = [f"- `{stem}`: {each.place}: {each.figure.title}." for stem, each in plots]
     return "\n## Page\n\n" + "\n".join(lines) + "\n"
 
 
@@ -208,16 +200,3 @@ def _require(given: Sequence[str], known: Sequence[str], what: str) -> None:
     for name in given:
         if name not in known:
             raise SpecError(f"there is no {what} {name!r}", hint=f"choose from {', '.join(known)}")
-
-
-def _require_matplotlib() -> None:
-    try:
-        import matplotlib  # noqa: F401 - drawing imports it again
-    except ModuleNotFoundError as error:
-        missing = str(error.name).partition(".")[0]
-        raise plugins.not_installed("a figure for papers", [missing], "paper") from error
-    except ImportError as error:
-        raise PluginError(
-            f"figures for papers need matplotlib, which cannot be imported: {error}",
-            hint='pip install "hil[paper]"',
-        ) from error

@@ -17,7 +17,6 @@ from hil.data import Dataset
 from hil.importers import robot_of_run
 from hil.recording import RunDirectory
 from hil.report.background import preflight, provenance, timeline
-from hil.report.blocks import Page, Section
 from hil.report.excitation import excitation
 from hil.report.facts import RunFacts, read_facts
 from hil.report.fit_facts import FitFacts, best_first, read_fits
@@ -34,9 +33,10 @@ from hil.report.judgement import (
     verdict_badge,
 )
 from hil.report.measured import measured
+from hil.report.page import Page, Section, write_page
 from hil.report.predictions import Shown, held_out_of, show
 from hil.report.recording import Drift, Recording, drift_of, read_recording
-from hil.report.render import write_page
+from hil.report.run_figures import RunView
 from hil.report.study_sections import study_sections
 from hil.report.words import listed, when
 
@@ -167,8 +167,8 @@ def _run_sections(
     sections: list[Section] = []
     if recording is not None:
         names = _joint_names(facts, recording)
-        sections.append(excitation(facts, recording, names, held_out))
-        sections.append(health(facts, recording, drift, names))
+        view = RunView(facts, recording, drift, names, held_out)
+        sections += [excitation(view), health(view)]
     happened = [timeline(facts)]
     if checks := preflight(facts):
         happened.insert(0, checks)

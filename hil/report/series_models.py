@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from hil.report.blocks import Column, Table, cells
 from hil.report.fit_facts import FitFacts
 from hil.report.fit_tables import HELD_OUT
+from hil.report.page import Column, Table, cells
 from hil.report.words import UNKNOWN, number
 
 

@@ -8,12 +8,11 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
-from hil.report.blocks import Badge, Cell, Column, Mark, Page, Section, Table, cells
 from hil.report.documents import Document, as_objects, document
 from hil.report.facts import model_folders
 from hil.report.fit_facts import FitFacts, best_first, read_fits
 from hil.report.judgement import ENDINGS, verdict_badge
-from hil.report.render import write_page
+from hil.report.page import Badge, Cell, Column, Mark, Page, Section, Table, cells, write_page
 from hil.report.series_models import models_tables
 from hil.report.study_facts import read_studies
 from hil.report.study_words import columns_of, is_numeric, protocol_mark

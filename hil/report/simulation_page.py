@@ -13,8 +13,8 @@ import numpy as np
 from hil.core import read_json, require_known_version
 from hil.models import REFERENCE, Banded, Entry, Registry, banded
 from hil.report import colours
-from hil.report import drift_figures as figures
-from hil.report.blocks import (
+from hil.report.drift_page import Along, champion_changes, drift_sections, effort_unit, joints_over
+from hil.report.page import (
     Badge,
     Block,
     Cell,
@@ -22,18 +22,14 @@ from hil.report.blocks import (
     KeyFigure,
     Notes,
     Page,
-    Panel,
-    Plots,
     Section,
     Table,
     cells,
+    write_page,
 )  # fmt: skip
-from hil.report.drift_figures import Along
-from hil.report.drift_page import champion_changes, drift_sections, effort_unit
-from hil.report.render import write_page
 from hil.report.simulation_found import Found, found, worn
-from hil.report.traces import line
 from hil.report.words import UNKNOWN, duration, joint_title, listed, number
+from hil.studies import Axis, Curve, Figure, Look
 
 Document = Mapping[str, Any]
 
@@ -171,28 +167,31 @@ def _timeline(told: Document, what: Found, along: Along, unit: str) -> Section:
     return Section("weeks", "Week by week", "", (*plots, _weeks_table(told, what)))
 
 
-def _errors(what: Found, along: Along, unit: str) -> Plots:
+def _errors(what: Found, along: Along, unit: str) -> Figure:
     joints, errors = what.joints, what.errors
     at = Along(what.weeks, "week [1]", "week", along.changes)
-    each = figures.joints_over(
-        "The champion's error on each week's probe", errors, at, joints, f"RMSE [{unit}]", log=True
-    )
+    title = "The champion's error on each week's probe"
+    each = joints_over(title, errors, at, joints, f"RMSE [{unit}]", log=True)
     overall = 100 * np.mean(errors / what.level, axis=1)
-    mean = line(np.array(what.weeks), overall, "mean", colours.MEASURED)
     share = f"share of week {what.first_week:g} [%]"
-    layout = at.layout(share)
-    layout["yaxis"] |= {"rangemode": "tozero"}
-    together = Panel(
+    mean = Curve("", what.weeks, overall, "marked", look=MEAN)
+    together = at.panel(
         "The same, mean over the joints",
-        {"data": [mean | {"mode": "lines+markers"}], "layout": layout},
-        f"mean error, {share}: {number(float(overall.min()))} to {number(float(overall.max()))}",
-        True,
+        share,
+        [mean],
+        y_axis=Axis(from_zero=True),
+        alt=f"mean error, {share}: {number(float(overall.min()))} to "
+        f"{number(float(overall.max()))}",
+        wide=True,
     )
     lead = (
         "Before what a week brings, and after it where a challenger was promoted. The dotted lines "
         "are new champions."
     )
-    return Plots("Error", lead, (each, together), figures.joint_legend(joints))
+    return Figure("error", "Error", lead, (each, together), 0)
+
+
+MEAN = Look(colours.MEASURED, size=6)
 
 
 def _weeks_table(told: Document, what: Found) -> Table:
@@ -235,14 +234,17 @@ def _warmth(told: Document, unit: str) -> Section:
     occasions = told["occasions"]
     weeks = np.array([float(each["week"]) for each in occasions])
     room = np.array([float(each["room_c"]) for each in occasions])
-    at = Along(tuple(weeks), "week [1]", "week")
-    trace = line(weeks, room, "room", colours.NEUTRAL) | {"mode": "lines+markers"}
-    panel = Panel(
-        "The room", {"data": [trace], "layout": at.layout("temperature [°C]")},
-        f"room from {room.min():g} to {room.max():g} °C", True,
-    )  # fmt: skip
-    plots = Plots("Temperature of the room", "Drawn anew for every occasion.", (panel,))
-    return Section("warmth", "Warmth", "", (*_warmth_table(told), plots))
+    curve = Curve("", weeks, room, "marked", look=Look(colours.NEUTRAL, size=6))
+    panel = Along(tuple(weeks), "week [1]", "week").panel(
+        "The room",
+        "temperature [°C]",
+        [curve],
+        alt=f"room from {room.min():g} to {room.max():g} °C",
+        wide=True,
+    )
+    lead = "Drawn anew for every occasion."
+    drawn = Figure("room", "Temperature of the room", lead, (panel,), 0)
+    return Section("warmth", "Warmth", "", (*_warmth_table(told), drawn))
 
 
 def _warmth_table(told: Document) -> list[Block]:

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from hil.report.blocks import Block, Column, Facts, Notes, Paragraphs, Section, Table, cells, items
-from hil.report.study_curves import curve_count, named_in
-from hil.report.study_figures import plots_of
+from hil.report.curves import dressed
+from hil.report.page import Block, Column, Facts, Notes, Paragraphs, Section, Table, cells, items
 from hil.report.study_words import (
     HONEST,
     HONEST_MEANS,
@@ -39,7 +38,8 @@ def study_sections(studies: Sequence[StudyResult], models: Sequence[str] = ()) -
         models: Of the page, in its order: they look alike in all plots.
     """
     figures = [f for study in studies for part in study.parts for f in part.figures]
-    points = max(FEWEST, min(ENOUGH, MOST_POINTS // max(1, curve_count(figures))))
+    curves = sum(len(panel.curves) for figure in figures for panel in figure.panels)
+    points = max(FEWEST, min(ENOUGH, MOST_POINTS // max(1, curves)))
     titles = zip(distinct_titles(studies), short_titles(studies), strict=True)
     return [
         section
@@ -61,7 +61,9 @@ def _sections(
     asked = {key: in_words(value) for key, value in study.parameters.items()}
     blocks.append(Facts("How it was made", items({**asked, "took": duration(study.seconds)})))
     figures = [figure for part in study.parts for figure in part.figures]
-    known = models if named_in(figures, models) else ()
+    panels = [panel for figure in figures for panel in figure.panels]
+    names = {panel.title for panel in panels} | {c.name for panel in panels for c in panel.curves}
+    known = models if not names.isdisjoint(models) else ()
     parts = [_part(f"{name}-{i}", part, points, known) for i, part in enumerate(study.parts, 1)]
     if len(parts) == 1:
         parts = [replace(parts[0], short="")]
@@ -73,7 +75,7 @@ def _part(name: str, part: Part, points: int, models: Sequence[str]) -> Section:
     mark = protocol_mark(part.protocol)
     blocks: list[Block] = [Paragraphs(part.text)] if part.text else []
     blocks += [_table(table) for table in part.tables if len(table.rows) < LONG]
-    blocks += [plots_of(figure, points, models) for figure in part.figures]
+    blocks += [dressed(figure, points, models) for figure in part.figures]
     blocks += [_table(table) for table in part.tables if len(table.rows) >= LONG]
     title = f"{part.title} ({mark})" if mark else part.title
     return Section(name, title, _lead(part.protocol), tuple(blocks))

@@ -18,7 +18,7 @@ from hil.control import (
     relief,
     unaided,
 )
-from hil.report.blocks import (
+from hil.report.page import (
     Badge,
     Cell,
     Column,

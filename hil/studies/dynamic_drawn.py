@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hil.studies.dynamic_methods import METHODS, Found
-from hil.studies.result import Curve, Figure, Panel
+from hil.studies.figure import Curve, Figure, Panel
 from hil.studies.separation_text import joint_titles
 
 MOST_LINES = 4

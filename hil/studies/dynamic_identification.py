@@ -28,7 +28,8 @@ from hil.studies.dynamic_methods import (
     trajectories_of,
 )
 from hil.studies.dynamic_tables import LABELS, TEXTS, TITLES, summary
-from hil.studies.result import Figure, Part, StudyResult
+from hil.studies.figure import Figure
+from hil.studies.result import Part, StudyResult
 from hil.studies.tasks import run_tasks
 
 

@@ -7,9 +7,9 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from hil.core import FloatArray
+from hil.studies.figure import Curve, Figure, Panel
 from hil.studies.inverse_fits import Found, Shown, evenly
 from hil.studies.inverse_tables import carried, under
-from hil.studies.result import Curve, Figure, Panel
 from hil.studies.separation_text import joint_titles
 
 OVER_TIME = ("irls", "proposed", "rc-motion", "ours", "ours-residual")

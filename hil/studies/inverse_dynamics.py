@@ -17,11 +17,12 @@ from hil.studies import inverse_drawn as drawn
 from hil.studies import inverse_tables as tables
 from hil.studies.base import Progress, Study, silent, words
 from hil.studies.dynamic_methods import NEEDS
+from hil.studies.figure import Figure
 from hil.studies.inverse_cases import CASES, load_names, recorded
 from hil.studies.inverse_fits import Found, Seen, family_task, gathered
 from hil.studies.inverse_methods import DEFAULT_KEYS, ROW_KEYS, ROWS, extras_of, families, missing
 from hil.studies.inverse_tables import LABELS, LEFT_OUT, TEXTS, TITLES, summary
-from hil.studies.result import Figure, Part, StudyResult, Table
+from hil.studies.result import Part, StudyResult, Table
 from hil.studies.tasks import run_tasks
 
 

@@ -1,4 +1,4 @@
-"""What a study finds, in a form that knows neither HTML nor files: tables, curves and sentences.
+"""What a study finds, in a form that knows neither HTML nor files: tables, figures and sentences.
 
 Everything survives a trip through JSON (`to_dict`, `from_dict`); a NaN becomes null and comes back
 as NaN.
@@ -8,12 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 from hil.core import card, number
-
-Style = Literal["line", "points", "bars", "identity"]
-"""`identity` is the line y = x over the range of the panel; its x and y stay empty."""
+from hil.studies.figure import Figure, figure_from_dict
 
 Value = str | float | int | None
 
@@ -52,62 +50,6 @@ class Table:
         table = (self.columns, rows)
         notes = [self.note] if self.note else []
         return card("Table", self.title, {}, table=table, most=len(rows), notes=notes)
-
-
-@dataclass(frozen=True, slots=True)
-class Curve:
-    """One series of a panel.
-
-    Attributes:
-        name: For the legend; neighbours in other panels with the same name look the same.
-        x: Numbers, or names for bars.
-        y: As many numbers.
-        style: How it is drawn.
-        y_error: Half-widths of error bars, or empty.
-    """
-
-    name: str
-    x: tuple[float | str, ...] = ()
-    y: tuple[float, ...] = ()
-    style: Style = "line"
-    y_error: tuple[float, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class Panel:
-    """One pair of axes.
-
-    Attributes:
-        title: Above it.
-        x_title, y_title: With units.
-        curves: In drawing order.
-        corner: Text inside it, such as `R = 0.998`.
-    """
-
-    title: str
-    x_title: str
-    y_title: str
-    curves: tuple[Curve, ...]
-    corner: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Figure:
-    """Panels that belong together.
-
-    Attributes:
-        key: Short and stable, e.g. `fig-7`; names the file it is exported to.
-        title: What it shows.
-        caption: How to read it.
-        panels: In reading order.
-        per_row: Panels side by side.
-    """
-
-    key: str
-    title: str
-    caption: str
-    panels: tuple[Panel, ...]
-    per_row: int = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,7 +102,15 @@ class StudyResult:
 
     def to_dict(self) -> dict[str, Any]:
         """JSON form, but for NaN; `hil.estimators.base.json_bytes` makes those null."""
-        return asdict(self)
+        return {
+            "study": self.study,
+            "title": self.title,
+            "summary": self.summary,
+            "parts": [_part_to_dict(part) for part in self.parts],
+            "parameters": dict(self.parameters),
+            "seconds": self.seconds,
+            "warnings": self.warnings,
+        }
 
     @staticmethod
     def from_dict(raw: Mapping[str, Any]) -> StudyResult:
@@ -175,9 +125,19 @@ class StudyResult:
             summary=_texts(raw["summary"]),
             parts=tuple(_part(part) for part in raw["parts"]),
             parameters=dict(raw.get("parameters", {})),
-            seconds=_number(raw.get("seconds")),
+            seconds=float("nan" if raw.get("seconds") is None else raw["seconds"]),
             warnings=_texts(raw.get("warnings", ())),
         )
+
+
+def _part_to_dict(part: Part) -> dict[str, Any]:
+    return {
+        "title": part.title,
+        "protocol": part.protocol,
+        "text": part.text,
+        "tables": [asdict(table) for table in part.tables],
+        "figures": [figure.to_dict() for figure in part.figures],
+    }
 
 
 def _part(raw: Mapping[str, Any]) -> Part:
@@ -186,7 +146,7 @@ def _part(raw: Mapping[str, Any]) -> Part:
         str(raw["protocol"]),
         _texts(raw["text"]),
         tuple(_table(table) for table in raw["tables"]),
-        tuple(_figure(figure) for figure in raw["figures"]),
+        tuple(figure_from_dict(figure) for figure in raw["figures"]),
     )
 
 
@@ -197,31 +157,5 @@ def _table(raw: Mapping[str, Any]) -> Table:
     return Table(str(raw["key"]), str(raw["title"]), columns, rows, raw["note"], kept)
 
 
-def _figure(raw: Mapping[str, Any]) -> Figure:
-    panels = tuple(_panel(panel) for panel in raw["panels"])
-    key, title, caption = _texts([raw[name] for name in ("key", "title", "caption")])
-    return Figure(key, title, caption, panels, int(raw["per_row"]))
-
-
-def _panel(raw: Mapping[str, Any]) -> Panel:
-    title, x_title, y_title = _texts([raw[name] for name in ("title", "x_title", "y_title")])
-    curves = tuple(_curve(curve) for curve in raw["curves"])
-    return Panel(title, x_title, y_title, curves, str(raw["corner"]))
-
-
-def _curve(raw: Mapping[str, Any]) -> Curve:
-    x = tuple(value if isinstance(value, str) else _number(value) for value in raw["x"])
-    y = tuple(_number(value) for value in raw["y"])
-    error = tuple(_number(value) for value in raw["y_error"])
-    style = raw["style"]
-    if style not in ("line", "points", "bars", "identity"):
-        raise ValueError(f"style: {style!r:.40}")
-    return Curve(str(raw["name"]), x, y, style, error)
-
-
 def _texts(raw: Sequence[Any]) -> tuple[str, ...]:
     return tuple(str(text) for text in raw)
-
-
-def _number(value: Any) -> float:
-    return float("nan") if value is None else float(value)

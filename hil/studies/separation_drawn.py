@@ -6,7 +6,7 @@ import numpy as np
 
 from hil.core import FloatArray, HilError
 from hil.estimators import StaticLinear, Weights
-from hil.studies.result import Figure
+from hil.studies.figure import Figure
 from hil.studies.separation_data import Recording
 from hil.studies.separation_figures import ROW, clouds, parameters, regression, series
 from hil.studies.separation_honest import SHORT, Bands, HonestRun, friction_of

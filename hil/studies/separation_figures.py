@@ -9,7 +9,7 @@ import numpy as np
 from hil.core import FloatArray, IntArray
 from hil.data import Dataset, correlation
 from hil.estimators import StaticLinear
-from hil.studies.result import Curve, Figure, Panel, Style
+from hil.studies.figure import Curve, Figure, Panel, Style
 from hil.studies.separation_text import joint_titles
 
 MOST = 700

@@ -12,7 +12,8 @@ import numpy as np
 from hil.core import BoolArray, FloatArray
 from hil.data import correlation, rmse
 from hil.estimators import HONEST, PAPER_PROTOCOL, Method
-from hil.studies.result import Figure, Part, Table, Value
+from hil.studies.figure import Figure
+from hil.studies.result import Part, Table, Value
 from hil.studies.separation_data import Recording, mean_noise, pose_key, sample_noise
 from hil.studies.separation_figures import joint_angles
 from hil.studies.separation_honest import (

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 
-from hil.studies.result import Curve, Part, StudyResult, Table
+from hil.studies.figure import Curve
+from hil.studies.result import Part, StudyResult, Table
 
 
 def faults_of(result: StudyResult) -> list[str]:

@@ -1,16 +1,36 @@
-"""What a page is made of: sections of tables, plots, facts and notes. No HTML here.
+"""A page as data, and the one HTML file it becomes: no network, no neighbours.
 
-A new kind of result adds a function that returns a `Section`; template and style stay as they are.
+A page is a verdict, key figures and sections of tables, figures, facts and notes; nothing that
+builds one writes HTML. A new kind of result adds a function that returns a `Section`; template and
+style stay as they are.
+
+plotly.js is inside, compressed to 2.0 MB from 4.8 MB: a report is one file that can be mailed,
+opened from a read-only share and served by the dashboard. A file shared by all runs of a folder
+would be lost with the first report that is copied elsewhere.
 """
 
 from __future__ import annotations
 
+import base64
+import gzip
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from typing import Any, Literal, TypeAlias
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
-from hil.report.plotly_figures import Figure
-from hil.report.words import UNKNOWN
+import numpy as np
+
+from hil.core import utf8_text, write_replacing
+from hil.report import colours
+from hil.report.curves import dressed, legend, y_of
+from hil.report.plotly_figure import figure_json, plotly_of
+from hil.report.words import UNKNOWN, number
+from hil.studies import Figure, Panel
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
 
 Mark = Literal["", "pass", "fail", "warn", "quiet"]
 
@@ -79,37 +99,6 @@ class Table:
 
 
 @dataclass(frozen=True, slots=True)
-class Panel:
-    """One plot.
-
-    Attributes:
-        title: Above the plot, usually the joint.
-        figure: See `figures`.
-        alt: What it shows, in words, for those who do not see it.
-        wide: Takes the whole width.
-    """
-
-    title: str
-    figure: Figure
-    alt: str
-    wide: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Plots:
-    """Plots of one kind side by side, with one legend for all."""
-
-    title: str
-    lead: str
-    panels: tuple[Panel, ...]
-    legend: tuple[tuple[str, str, str], ...] = ()
-    """(text, colour, a dash of `colours.STROKES` | `band` | marker character)."""
-    columns: int = 0
-    """2 for panels that are better large; 0 for as many side by side as there is room for."""
-    kind: Literal["plots"] = "plots"
-
-
-@dataclass(frozen=True, slots=True)
 class Facts:
     """Names and values, as a definition list."""
 
@@ -134,7 +123,7 @@ class Paragraphs:
     kind: Literal["paragraphs"] = "paragraphs"
 
 
-Block: TypeAlias = Table | Plots | Facts | Notes | Paragraphs
+Block: TypeAlias = Table | Figure | Facts | Notes | Paragraphs
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,7 +174,7 @@ class Page:
     summary: str
     key_figures: tuple[KeyFigure, ...] = ()
     warnings: tuple[str, ...] = ()
-    sections: tuple[Section, ...] = field(default=())
+    sections: tuple[Section, ...] = ()
     footer: str = ""
 
 
@@ -197,3 +186,72 @@ def cells(*texts: str) -> tuple[Cell, ...]:
 def items(values: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
     """Names and values as text; those without a value are left out."""
     return tuple((key, str(value)) for key, value in values.items() if value not in (None, "", {}))
+
+
+def write_page(page: Page, path: Path) -> Path:
+    """Write the page to `path`, whole or not at all; an older report there is replaced.
+
+    Raises:
+        RecordingError: The file cannot be written.
+    """
+    write_replacing(path, utf8_text(page_html(page)).encode())
+    return path
+
+
+def page_html(page: Page) -> str:
+    """Return the page as HTML; every text of it is escaped."""
+    from markupsafe import Markup
+
+    css = files("hil.report").joinpath("report.css").read_text("utf-8")
+    blocks = [block for section in page.sections for block in section.blocks]
+    return (
+        _environment()
+        .get_template("report.html.j2")
+        .render(
+            page=page,
+            plotted=any(block.kind == "figure" for block in blocks),
+            dark=colours.DARK,
+            strokes=colours.STROKES,
+            css=Markup(css),  # noqa: S704 - our own file
+            plotly=packed_plotly,
+        )
+    )
+
+
+def _environment() -> Environment:
+    from jinja2 import Environment, FunctionLoader, StrictUndefined
+    from markupsafe import Markup
+
+    folder = files("hil.report")
+    environment = Environment(
+        loader=FunctionLoader(lambda name: folder.joinpath(name).read_text("utf-8")),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+    )
+    environment.filters["figure_json"] = lambda figure: Markup(figure_json(figure))  # noqa: S704
+    environment.filters |= {"dressed": dressed, "legend": legend, "plotly": plotly_of}
+    environment.filters["in_words"] = _in_words
+    return environment
+
+
+def _in_words(panel: Panel, figure: Figure) -> str:
+    """Return what a panel shows, for those who do not see it: every series with its range."""
+    if panel.alt:
+        return panel.alt
+    told = [f"{figure.title}, {panel.title}", *([panel.corner] if panel.corner else [])]
+    for curve in panel.curves:
+        y = y_of(curve)
+        y = y[np.isfinite(y)]
+        if len(y):
+            told.append(f"{curve.name}: {number(float(y.min()))} to {number(float(y.max()))}")
+    return "; ".join(told)
+
+
+@cache
+def packed_plotly() -> str:
+    """Return plotly.js as base64 of gzip, which every browser since 2023 unpacks by itself."""
+    from plotly.offline import get_plotlyjs
+
+    # A time of zero: equal pages are equal files.
+    return base64.b64encode(gzip.compress(get_plotlyjs().encode(), mtime=0)).decode("ascii")
