@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from hil.cli.watching import WatchLines, end_line, live_line
+from hil.cli.progress import WatchLines, end_line, live_line
 from hil.core.errors import DataError
 from hil.core.live_lock import hold_run
 from hil.engine.standing import words_of

@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 from terminal_parts import terminal_on
 
-from hil.cli.excitation_line import ExcitationLine
-from hil.cli.progress import ProgressLines
+from hil.cli.progress import ExcitationLine, ProgressLines
 from hil.excitation.program import Advance
 
 pytestmark = pytest.mark.quick

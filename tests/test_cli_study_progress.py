@@ -2,15 +2,15 @@
 
 import pytest
 
-from hil.cli import study_progress
+from hil.cli import progress
 
 
 @pytest.fixture
 def bar(monkeypatch):
-    """A bar without a terminal whose clock is at `bar.now`."""
-    made = study_progress.StudyBar()
-    made._tty, made.now = False, 1000.0
-    monkeypatch.setattr(study_progress.time, "monotonic", lambda: made.now)
+    """A display without a terminal whose clock is at `bar.now`."""
+    made = progress.StudyLine()
+    made.now = 1000.0
+    monkeypatch.setattr(progress.time, "monotonic", lambda: made.now)
     return made
 
 

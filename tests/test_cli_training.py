@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 import hil
 from hil.cli.app import app
-from hil.cli.training_line import EVERY_S, TrainingLine
+from hil.cli.progress import TrainingLine
 from hil.core.errors import SpecError
 from hil.networks.training import Told
 
@@ -32,7 +32,7 @@ class Terminal(io.StringIO):
 def terminal_on(monkeypatch: pytest.MonkeyPatch) -> Terminal:
     made = Terminal()
     monkeypatch.setattr(sys, "stderr", made)
-    monkeypatch.setattr("hil.cli.training_line.EVERY_S", 0.0)
+    monkeypatch.setattr("hil.cli.progress.TrainingLine.EVERY_S", 0.0)
     monkeypatch.setenv("COLUMNS", "100")
     return made
 
@@ -78,7 +78,7 @@ def test_a_pipe_gets_nothing(capsys: pytest.CaptureFixture[str]) -> None:
     with TrainingLine() as line:
         line(told(1))
     assert capsys.readouterr() == ("", "")
-    assert EVERY_S > 0
+    assert TrainingLine.EVERY_S > 0
 
 
 def test_an_estimator_that_trains_nothing_refuses_checkpoints(tmp_path: Path) -> None:

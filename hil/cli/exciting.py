@@ -55,7 +55,7 @@ def excite(
     json: JsonFlag = False,
 ) -> None:
     """Find the trajectories of a spec and show what they are worth; move nothing."""
-    from hil.cli.excitation_line import ExcitationLine
+    from hil.cli.progress import ExcitationLine
     from hil.report import write_excitation_page
     from hil.workflow import appraise_excitation
 

@@ -107,7 +107,7 @@ def watch(
     ] = False,
 ) -> None:
     """Follow a live run to its end; Ctrl-C ends the watching, not the run."""
-    from hil.cli.watching import WatchLines
+    from hil.cli.progress import WatchLines
     from hil.runs import find_run
     from hil.workflow import follow, newest_live
 

@@ -80,7 +80,7 @@ def fit(
 ) -> None:
     """Fit an estimator to recordings and judge it on others."""
     from hil import api
-    from hil.cli.training_line import TrainingLine
+    from hil.cli.progress import TrainingLine
 
     with TrainingLine() as line, _told_how_to_go_on(checkpoints):
         result = api.fit(

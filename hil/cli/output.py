@@ -3,11 +3,12 @@
 import contextlib
 import math
 import os
+import shutil
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from textwrap import indent, wrap
-from typing import Annotated, Any, TextIO
+from typing import Annotated, Any, Self, TextIO
 
 import typer
 
@@ -170,6 +171,61 @@ def out_width() -> int | None:
     $COLUMNS alone is nobody's wish there: every Python that has loaded readline hands it down.
     """
     return width_of(sys.stdout)
+
+
+class MovingLine:
+    """A line of a terminal that moves, above which other lines stay; in a pipe only those are.
+
+    The moving line never wraps: it is cut to the width. Used as a context, it is taken away at the
+    end, however that comes.
+
+    Args:
+        stream: By default standard error.
+        moves: Whether the stream is a terminal; by default found out.
+    """
+
+    def __init__(self, stream: TextIO | None = None, *, moves: bool | None = None) -> None:
+        self._given = stream
+        self.moves = width_of(self._stream) is not None if moves is None else moves
+        self._open = False
+
+    @property
+    def _stream(self) -> TextIO:
+        return self._given or sys.stderr
+
+    def show(self, text: str) -> None:
+        """Show what the line says now; nothing in a pipe."""
+        if not self.moves:
+            return
+        room = self._columns() - 1
+        self._write(text if len(text) <= room else f"{text[: room - 1]}…")
+        self._open = True
+
+    def say(self, text: str) -> None:
+        """Leave a line; a terminal wraps it between words, a pipe gets it whole."""
+        self._write((fold(text, self._columns()) if self.moves else text) + "\n")
+        self._open = False
+
+    def end(self, *, keep: bool = False) -> None:
+        """Take the line away, or leave it as it is and begin another below it."""
+        if self._open:
+            self._stream.write("\n" if keep else "\r\x1b[K")
+            self._stream.flush()
+        self._open = False
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *ending: object) -> None:
+        self.end()
+
+    def _write(self, text: str) -> None:
+        start = "\r\x1b[K" if self._open else ""
+        self._stream.write(start + text)
+        self._stream.flush()
+
+    def _columns(self) -> int:
+        return width_of(self._stream) or max(20, shutil.get_terminal_size().columns)
 
 
 def fit_words(number: int, total: int, name: str) -> str:

@@ -1,20 +1,27 @@
-"""Progress on stderr: one line that moves on a terminal, plain lines now and then in a pipe.
+"""How far something long is: one line that moves on a terminal, lines now and then in a pipe.
+
+`ProgressLines` shows a run with everything in it. The displays of its parts stand alone where a
+verb does only that: `ExcitationLine`, `TrainingLine`, `StudyLine`. `WatchLines` shows the run of
+another process.
 
 What is news stays on the screen as a line of its own: a stage, a pause and its reason, going on,
-what the operator is asked, why the run stops. The moving line never wraps: it is cut to the width.
+what the operator is asked, why the run stops. In every moving line what matters most comes first,
+since a narrow terminal cuts the end.
 """
 
 from __future__ import annotations
 
+import math
 import sys
 import time
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
 
-from hil.cli.excitation_line import ExcitationLine
-from hil.cli.output import duration, fit_ended, fit_words, fold, width_of
-from hil.cli.study_progress import StudyBar
-from hil.cli.training_line import TrainingLine
+from hil.cli.output import MovingLine, duration, fit_ended, fit_words
+from hil.core import Throttle, plain
 from hil.engine import (
     ENDING,
+    MOST,
     OWN,
     PAUSED,
     Event,
@@ -23,28 +30,33 @@ from hil.engine import (
     share_words,
     state_words,
     step_words,
+    words_of,
 )
-from hil.excitation import Advance
-from hil.networks import Told
-from hil.studies import Ended
+
+if TYPE_CHECKING:
+    from hil.excitation import Advance
+    from hil.networks import Told
+    from hil.studies import Ended
 
 PIPED_EVERY_S = 10.0
 TERMINAL_EVERY_S = 0.1
 FASTER_THAN_REAL = 1.5
+
+ALIVE_EVERY_S = 120.0
+"""In a pipe, a line that says the same again only shows that work goes on [s]."""
 
 
 class ProgressLines:
     """An observer of the engine."""
 
     def __init__(self) -> None:
-        self._tty = sys.stderr.isatty()
+        self._line = MovingLine()
         self._standing = Standing()
         self._next = 0.0
-        self._open = False
         self._paused = False
         self._pausing = ""
-        self._studies = StudyBar()
-        self._excitation = ExcitationLine()
+        self._studies = StudyLine(self._line)
+        self._excitation = ExcitationLine(self._line)
         self._training: TrainingLine | None = None
 
     def notify(self, event: Event) -> None:
@@ -53,108 +65,90 @@ class ProgressLines:
         kind = event.get("kind")
         if kind == "study" and event.get("study"):
             self._studies.show(event["study"], event["what"], event["done"], event["total"])
-            return
-        if kind == "study_fit":
+        elif kind == "study_fit":
+            from hil.studies import Ended
+
             self._studies.ended(event["study"], Ended(**event["ended"]))
-            return
-        self._studies.end()
-        if kind == "excitation":
-            self._end_line()
+        elif kind == "excitation":
+            from hil.excitation import Advance
+
             self._excitation(Advance.from_event(event))
-            return
-        self._excitation.end()
-        if kind == "training":
-            self._epoch(event)
-            return
-        if self._training:
-            self._training.end()
-        if kind == "fit_note":
-            self._line(f"{fit_words(*_which(event))}: {event['text']}")
+        elif kind == "training":
+            from hil.networks import Told
+
+            self._training = self._training or TrainingLine(fit_words(*_which(event)), self._line)
+            self._training(Told(**event["epoch"]))
+        else:
+            self._of_the_run(event)
+
+    def _of_the_run(self, event: Event) -> None:
+        kind = event.get("kind")
+        if kind == "study":  # the last one is over
+            self._line.end()
+        elif kind == "fit_note":
+            self._line.say(f"{fit_words(*_which(event))}: {event['text']}")
         elif kind == "fitted":
             self._training = None
-            self._line(fit_ended(*_which(event), event["seconds"], failed=event["failed"]))
+            self._line.say(fit_ended(*_which(event), event["seconds"], failed=event["failed"]))
         elif kind == "stage":
-            self._line(f"{self._standing.stage} …")
+            self._line.say(f"{self._standing.stage} …")
         elif kind == "plan":
             for line in ("this run sweeps", *(f"  {line}" for line in event["lines"])):
-                self._line(line)
+                self._line.say(line)
         elif kind == "state":
             self._state()
         elif kind == "preflight":
             self._preflight(event)
         elif kind == "prompt":
             self._prompt(event)
-        elif kind == "progress" or (kind == "step" and self._tty):
+        elif kind == "progress" or (kind == "step" and self._line.moves):
             self._announce()
             self._moving()
-
-    def _epoch(self, event: Event) -> None:
-        self._end_line()
-        self._training = self._training or TrainingLine(fit_words(*_which(event)))
-        self._training(Told(**event["epoch"]))
 
     def _state(self) -> None:
         run = self._standing
         was_paused, self._paused = self._paused, run.state == PAUSED
         if run.state == ENDING[0] and run.completed:
-            self._line(_done(run))
+            self._line.say(_done(run))
         elif run.state in (PAUSED, ENDING[0]):
-            self._line(state_words(run))
+            self._line.say(state_words(run))
         elif was_paused:
-            self._line(f"running again: {run.reason}" if run.reason else "running again")
+            self._line.say(f"running again: {run.reason}" if run.reason else "running again")
 
     def _preflight(self, event: Event) -> None:
         """What was waived, and what the robot has found out about itself, each on a line."""
         checks = event.get("checks", [])
-        self._line(f"preflight: {sum(bool(each['passed']) for each in checks)} checks passed")
+        self._line.say(f"preflight: {sum(bool(each['passed']) for each in checks)} checks passed")
         for each in checks:
             if each["waived"] or each["name"].startswith(OWN):
                 waived = " (failed, waived)" if each["waived"] else ""
-                self._line(f"  {each['name']}{waived}: {each['message']}")
+                self._line.say(f"  {each['name']}{waived}: {each['message']}")
 
     def _announce(self) -> None:
         """Whoever asks for a pause hears at once that it was heard: a trajectory may take long."""
         asked = self._standing.prompt
-        if asked and self._tty:
+        if asked and self._line.moves:
             return  # whoever asks says so, and asks again
         before, self._pausing = self._pausing, self._standing.pausing
         if self._pausing and not before:
             moment = "once the question is answered" if asked else "at the next checkpoint"
-            self._line(f"pausing {moment}: {self._pausing}")
+            self._line.say(f"pausing {moment}: {self._pausing}")
 
     def _prompt(self, event: Event) -> None:
         # On a terminal whoever asks prints the question; only the line must be out of its way.
         if event.get("answered_by"):
-            self._line(f"{answer_words(event)}: {event.get('text', '')}")
-        elif self._tty:
-            self._end_line()
+            self._line.say(f"{answer_words(event)}: {event.get('text', '')}")
+        elif self._line.moves:
+            self._line.end(keep=True)
         else:
-            self._line(f"asking: {self._standing.prompt}")
+            self._line.say(f"asking: {self._standing.prompt}")
 
     def _moving(self) -> None:
-        run, now = self._standing, time.monotonic()
-        if now < self._next or (run.prompt and self._tty) or run.state in ENDING:
+        run, now, moves = self._standing, time.monotonic(), self._line.moves
+        if now < self._next or (run.prompt and moves) or run.state in ENDING:
             return
-        self._next = now + (TERMINAL_EVERY_S if self._tty else PIPED_EVERY_S)
-        if (width := width_of(sys.stderr)) is None:
-            self._line(_progress(run))
-            return
-        sys.stderr.write(f"\r\x1b[K{_cut(_progress(run), width - 1)}")
-        sys.stderr.flush()
-        self._open = True
-
-    def _line(self, text: str) -> None:
-        """A line that stays; on a terminal it is wrapped between words, in a pipe it is one."""
-        start = "\r\x1b[K" if self._open else ""
-        sys.stderr.write(f"{start}{fold(text, width_of(sys.stderr))}\n")
-        sys.stderr.flush()
-        self._open = False
-
-    def _end_line(self) -> None:
-        if self._open:
-            sys.stderr.write("\n")
-            sys.stderr.flush()
-        self._open = False
+        self._next = now + (TERMINAL_EVERY_S if moves else PIPED_EVERY_S)
+        (self._line.show if moves else self._line.say)(_progress(run))
 
 
 def _which(event: Event) -> tuple[int, int, str]:
@@ -162,7 +156,6 @@ def _which(event: Event) -> tuple[int, int, str]:
 
 
 def _progress(run: Standing) -> str:
-    """What matters most comes first: a narrow terminal cuts the end."""
     parts = [share_words(run)]
     if run.waits:
         parts += ["waiting for an answer" if run.prompt else state_words(run)]
@@ -189,5 +182,224 @@ def _speed(run: Standing) -> str:
     return f"{run.pace:.0f}× real time" if run.pace > FASTER_THAN_REAL else ""
 
 
-def _cut(text: str, width: int) -> str:
-    return text if len(text) <= width else f"{text[: max(0, width - 1)]}…"
+class _Part:
+    """A display of one thing; as a context it is taken away at the end, however that comes."""
+
+    def __init__(self, line: MovingLine | None = None) -> None:
+        self._line = line or MovingLine()
+
+    def __enter__(self) -> Any:
+        return self
+
+    def __exit__(self, *ending: object) -> None:
+        self._line.end()
+
+
+class ExcitationLine(_Part):
+    """How far the optimisation of trajectories is; in a pipe nothing but notes."""
+
+    EVERY_S = 0.2
+
+    def __init__(self, line: MovingLine | None = None) -> None:
+        super().__init__(line)
+        self._often = Throttle(self.EVERY_S, at_once=True)
+
+    def __call__(self, advance: Advance) -> None:
+        """Show it, if it is time to."""
+        if advance.note:
+            self._line.say(f"note: {advance.note}")
+        elif self._line.moves and self._often.due():
+            self._line.show(self._words(advance))
+
+    @staticmethod
+    def _words(advance: Advance) -> str:
+        parts = [f"optimising trajectory {advance.trajectory}/{advance.trajectories}"]
+        if advance.left_s is not None:
+            parts.append(f"{duration(max(0.0, advance.left_s))} left")
+        if math.isfinite(advance.best):
+            parts.append(f"condition {advance.best:.1f}")
+        parts.append(f"start {advance.start}/{advance.starts}")
+        return "  ".join(parts)
+
+
+class TrainingLine(_Part):
+    """How far the training of a network is, with its curve; in a pipe a sign of life.
+
+    Called with every epoch; a fit that trains several networks shows one after the other.
+
+    Args:
+        fit: Begins the lines in a pipe: which fit it is.
+        line: Where it is shown.
+    """
+
+    EVERY_S = 0.2
+    CURVE = 16
+    """Characters of the curve."""
+
+    def __init__(self, fit: str = "", line: MovingLine | None = None) -> None:
+        super().__init__(line)
+        self._fit = f"{fit}: " if fit else ""
+        moves = self._line.moves
+        self._often = Throttle(self.EVERY_S if moves else ALIVE_EVERY_S, at_once=moves)
+        self._validation: list[float] = []
+        self._since = (time.monotonic(), 0)
+        """When the first epoch was told that this process trained, and its number."""
+
+    def began(self, what: str) -> None:
+        """Show it at once, in a pipe too: without it there would be nothing for minutes."""
+        self._show(what)
+
+    def __call__(self, told: Told) -> None:
+        """Show it, if it is time to."""
+        from hil.networks import sparkline
+
+        if not self._validation or told.epoch <= len(self._validation):
+            self._validation = []
+            self._since = (time.monotonic(), told.epoch)
+        # A training that is taken up again begins with a later epoch than the first.
+        missing = told.epoch - 1 - len(self._validation)
+        self._validation += [told.validation] * (missing + 1)
+        if not self._often.due():
+            return
+        parts = [
+            f"epoch {told.epoch}/{told.epochs}",
+            f"best {told.best:.4g}",
+            sparkline(self._validation, self.CURVE),
+        ]
+        if (left_s := self._left_s(told)) is not None:
+            parts.append(f"≤ {duration(left_s)} left")
+        parts += [f"validation {told.validation:.4g}", f"loss {told.loss:.4g}", told.stage]
+        self._show("  ".join(parts))
+
+    def _show(self, text: str) -> None:
+        if self._line.moves:
+            self._line.show(text)
+        else:
+            self._line.say(f"{self._fit}{text}")
+
+    def _left_s(self, told: Told) -> float | None:
+        begin, first = self._since
+        if told.epoch == first:
+            return None
+        return (time.monotonic() - begin) / (told.epoch - first) * (told.epochs - told.epoch)
+
+
+class StudyLine(_Part):
+    """How far studies are; each of their fits leaves a line."""
+
+    NEWS_EVERY_S = 1.0
+    """In a pipe, what is done next is told at once, but not more often than this [s]."""
+
+    def __init__(self, line: MovingLine | None = None) -> None:
+        super().__init__(line)
+        self._shown, self._done, self._since = "", -1, 0.0
+
+    def show(self, study: str, what: str, done: int, total: int) -> None:
+        """Show where a study is, if it is time to."""
+        text, now = f"{study}: {what}", time.monotonic()
+        if self._line.moves:
+            wait = 0.0 if text != self._shown else TERMINAL_EVERY_S
+        elif text != self._shown:
+            wait = self.NEWS_EVERY_S
+        else:
+            wait = PIPED_EVERY_S if done != self._done else ALIVE_EVERY_S
+        if now < self._since + wait:
+            return
+        self._shown, self._done, self._since = text, done, now
+        share = f"{done}/{total}" if total else ""
+        if self._line.moves:
+            self._line.show("  ".join(filter(None, (share, text))))
+        else:
+            self._line.say(f"{text} {share}".rstrip())
+
+    def ended(self, study: str, ended: Ended) -> None:
+        """Leave a line for a fit that is done."""
+        name = " ".join(filter(None, (ended.name, ended.failed)))
+        self._line.say(fit_ended(ended.number, ended.total, name, ended.seconds))
+
+
+Item = Mapping[str, Any]
+
+
+class WatchLines:
+    """Prints the items of `hil.workflow.follow`: a run of another process.
+
+    Args:
+        run: What to call the run in commands.
+        terminal: Whether lines can be replaced.
+        now: Monotonic clock [s].
+    """
+
+    SILENT_AFTER_S = 5.0
+
+    QUIET = frozenset({"checkpoint", "dwell", "state", "payload"})
+    """Events that a terminal shows in its moving line, if at all."""
+
+    def __init__(
+        self, run: str, *, terminal: bool, now: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._run = run
+        self._line = MovingLine(sys.stdout, moves=terminal)
+        self._now = now
+        self._next = 0.0
+        self._shown = ""
+
+    def show(self, item: Item) -> None:
+        """Print one item, if it is time to."""
+        if item["kind"] == "event":
+            event = item["event"]
+            if not (self._line.moves and event["kind"] in self.QUIET):
+                self.line(f"{_clock(event)}  {words_of(event, self._run)}")
+        elif item["kind"] == "live":
+            self._live(plain(live_line(item), most=MOST))
+        elif item["kind"] == "end":
+            self.line(end_line(item))
+
+    def line(self, text: str) -> None:
+        """Print a line that stays."""
+        self._line.say(text)
+
+    def _live(self, text: str) -> None:
+        if self._line.moves:
+            self._line.show(text)
+        elif self._now() >= self._next and text != self._shown:
+            self._next, self._shown = self._now() + PIPED_EVERY_S, text
+            self.line(text)
+
+
+def live_line(view: Item) -> str:
+    """Where the run is, on one line."""
+    from hil.workflow import standing_in
+
+    run = standing_in(view)
+    where = step_words(run) or run.stage or "preparing"
+    if run.prompt:
+        return f"asks: {run.prompt}  {where}"
+    if run.state in ENDING:
+        return run.stage if run.state == "done" and run.stage else state_words(run)
+    if run.state != "running":
+        return "  ".join([state_words(run), *run.troubles, where])
+    quiet = time.time() - float(view.get("t", 0.0))
+    left = f"{duration(run.left_s)} left"
+    if quiet > WatchLines.SILENT_AFTER_S:
+        left = f"no news for {duration(quiet)}"
+    return "  ".join([share_words(run), *run.troubles, where, left])
+
+
+def end_line(end: Item) -> str:
+    """How the run ended, and what to do next."""
+    text = f"{end['run']}: {end['status']}"
+    if end["reason"]:
+        text += f": {end['reason']}"
+    if end["verdict"] != "not judged":
+        text += f", model {end['verdict']}"
+    if end["status"] != "completed":
+        return f"{text}\n  next: hil resume {end['run']}"
+    return text
+
+
+def _clock(event: Item) -> str:
+    try:
+        return time.strftime("%H:%M:%S", time.localtime(float(event["t"])))
+    except (KeyError, TypeError, ValueError, OverflowError):
+        return "--:--:--"

@@ -53,7 +53,7 @@ def plan_series(
     source: Source, station: Path | None, part: Commissioning | None, connect: bool, json: bool
 ) -> None:
     """What each experiment of a series would do, and how long all of them take."""
-    from hil.cli.excitation_line import ExcitationLine
+    from hil.cli.progress import ExcitationLine
     from hil.workflow import load_series, preview_experiment
 
     told = []
@@ -201,13 +201,10 @@ def _told(report: RunReport) -> Outcome:
 def _studied(run: Path, told: Document) -> Outcome:
     """A run that was stopped during its studies: its models are there."""
     from hil import api
-    from hil.cli.study_progress import StudyBar
+    from hil.cli.progress import StudyLine
 
-    bar = StudyBar()
-    try:
-        api.study(run, watch=bar.show)
-    finally:
-        bar.end()
+    with StudyLine() as line:
+        api.study(run, watch=line.show)
     return told, None
 
 

@@ -96,7 +96,7 @@ def plan(
 ) -> None:
     """Show what `hil run` would do with the same options: steps, ranges, margins; move nothing."""
     _require_svg(picture)
-    from hil.cli.excitation_line import ExcitationLine
+    from hil.cli.progress import ExcitationLine
     from hil.core import json_document, read_source, write_replacing
     from hil.planning import commissioning_of
     from hil.report import plan_picture

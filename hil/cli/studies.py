@@ -41,20 +41,18 @@ def study(
 
 def make(path: Path, name: str, parameters: Mapping[str, Any], json: bool) -> None:
     """Make the studies of a run directory, or one by name, and tell what they found."""
-    from hil.cli.study_progress import StudyBar
+    from hil.cli.progress import StudyLine
     from hil.report import render_report
     from hil.workflow import STUDY, entries_for, run_studies
 
-    bar = StudyBar()
     entries = entries_for(path, name or None, parameters)
     try:
-        done = run_studies(path, entries, bar.show, bar.ended)
+        with StudyLine() as line:
+            done = run_studies(path, entries, line.show, line.ended)
     except KeyboardInterrupt:
         told = "interrupted; studies that were made before are kept"
         verb = "validate-loads" if any(one.study == STUDY for one in entries) else "study"
         raise Stopped(told, hint=f"hil {verb} {path}", by_signal=True) from None
-    finally:
-        bar.end()
     page = render_report(path)
     if done.made or done.error is None or json:
         _tell(done, page, json)
