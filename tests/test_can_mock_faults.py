@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import can
 import pytest
@@ -13,7 +14,7 @@ from can_master import Abort, Master
 
 from hil.core.errors import CommandRefused, SpecError
 from hil_mock_robot.cia402.bus import Line, refused_mapping, refused_object
-from hil_mock_robot.cia402.faults import KINDS, Fault, fault_of, faults_of, read_faults
+from hil_mock_robot.cia402.faults import CanFault
 from hil_mock_robot.cia402.hosted import HostedMock, mock_on_virtual_bus
 
 ENABLE, QUICK_STOP = 0x0F, 0x02
@@ -90,20 +91,27 @@ def others(values: list[object], axis: int) -> list[object]:
 )
 def test_what_cannot_be_is_refused_in_words(given: object, words: str) -> None:
     with pytest.raises(SpecError, match=words) as refused:
-        faults_of(given)
+        CanFault.all_of(given)
     assert refused.value.hint
 
 
 def test_a_file_holds_faults_with_hexadecimal_codes(tmp_path: Path) -> None:
     path = tmp_path / "faults.yaml"
     path.write_text("- {kind: emergency, motion: 2, after_s: 0.3, axis: 4, code: 0x2310}\n")
-    assert read_faults(path) == (Fault("emergency", motion=2, after_s=0.3, axis=4, code=0x2310),)
+    (fault,) = CanFault.read(path)
+    told = fault.kind, fault.motion, fault.after_s, fault.axis, fault.code
+    assert told == ("emergency", 2, 0.3, 4, 0x2310)
 
 
 def test_a_fault_strikes_one_axis_or_all_or_the_master() -> None:
-    assert list(fault_of("f", {"kind": "bit12_low", "axis": 3}).axes) == [2]
-    assert list(fault_of("f", {"kind": "bit12_low", "axis": "all"}).axes)[:6] == [0, 1, 2, 3, 4, 5]
-    assert list(fault_of("f", {"kind": "bus_off", "axis": "master"}).axes) == []
+    station = SimpleNamespace(axes=tuple("abcdef"))
+
+    def struck(**given: object) -> tuple[str, ...]:
+        return CanFault.one_of("f", given).axes(station)  # type: ignore[arg-type, return-value]
+
+    assert struck(kind="bit12_low", axis=3) == ("c",)
+    assert struck(kind="bit12_low", axis="all") == tuple("abcdef")
+    assert struck(kind="bus_off", axis="master") == ()
 
 
 def test_an_axis_that_the_arm_lacks_is_refused(anew: tuple[HostedMock, Master]) -> None:
@@ -288,7 +296,7 @@ def test_a_master_that_is_off_the_bus_is_missed_by_the_drives(
 
 
 def test_a_fault_waits_for_its_motion_as_the_master_announces_it() -> None:
-    faults = [Fault("following_error", axis=2, motion=2, after_s=0.04)]
+    faults = [CanFault.make("following_error", axis=2, motion=2, after_s=0.04)]
     told = []
     with (
         mock_on_virtual_bus(f"{CHANNEL}-motions", patience_s=10.0, faults=faults),
@@ -327,7 +335,7 @@ def test_every_kind_of_fault_can_be_asked_for_and_cleared(
 ) -> None:
     drives, master = anew
     needed = {"late_frames": {"by_s": 0.01}}
-    for kind in KINDS:
+    for kind in CanFault.kinds:
         assert drives.tell("fault", kind=kind, axis=1, **needed.get(kind, {})) == {"fault": kind}
     drives.tell("clear")
     assert drives.tell("state")["faults"] == ["node_reboot"]
@@ -361,4 +369,4 @@ def test_refusals_are_for_the_beginning_of_transfers_alone() -> None:
     assert refused_mapping(2, 0x1A00, 1) == 0
     assert refused_object(0, 5)(3, 0x1234, 0) == 0
     assert refused_object(0x1234, 5)(2, 0x1234, 7) == 5
-    assert math.isinf(fault_of("f", {"kind": "sdo_abort"}).for_s)
+    assert math.isinf(CanFault.one_of("f", {"kind": "sdo_abort"}).for_s)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from hil.testing.can_bus import CanBus
-from hil_mock_robot.cia402.faults import KINDS, OWN_DURATION, Fault, read_faults
+from hil_mock_robot.cia402.faults import CanFault
 from hil_mock_robot.cia402.options import parser_of
 from hil_mock_robot.cia402.side import Requests
 from hil_mock_robot.cia402.telling import MAIN_KEYS
@@ -34,14 +34,17 @@ def rows() -> dict[str, list[tuple[str, str]]]:
     return {kind: re.findall(r"`(\w+)`(?: \((.*?)\))?", keys) for kind, keys in found}
 
 
+WHEN = {"at_s", "motion", "after_s"}
+
+
 def test_every_kind_is_there_with_its_keys() -> None:
     told = {kind: {key for key, _ in keys} for kind, keys in rows().items()}
-    assert told == {kind: set(keys) for kind, keys in KINDS.items()}
+    assert told == {kind: set(each.keys) - WHEN for kind, each in CanFault.kinds.items()}
 
 
 def test_the_defaults_are_those_of_the_code() -> None:
     for kind, keys in rows().items():
-        fault = Fault(kind, for_s=OWN_DURATION.get(kind, float("inf")))
+        fault = CanFault.make(kind)
         for key, default in keys:
             if default:
                 told = default.replace("−", "-")
@@ -52,7 +55,7 @@ def test_the_defaults_are_those_of_the_code() -> None:
 def test_the_file_is_one(tmp_path: Path) -> None:
     path = tmp_path / "faults.yaml"
     path.write_text(blocks(FAULTS, "yaml")[0], "utf-8")
-    assert [fault.kind for fault in read_faults(path)] == [
+    assert [fault.kind for fault in CanFault.read(path)] == [
         "bit12_low", "following_error", "emergency",
     ]  # fmt: skip
 

@@ -7,7 +7,7 @@ from dataclasses import fields
 from pathlib import Path
 
 from hil_drivers.twincat.options import Options
-from hil_mock_robot.twincat.faults import KINDS
+from hil_mock_robot.twincat.faults import PlcFault
 from hil_mock_robot.twincat.memory import contract, declared_in
 from hil_mock_robot.twincat.program import Command, Result
 
@@ -30,5 +30,5 @@ def test_every_command_and_every_reason_to_refuse_one_is_on_the_page() -> None:
 
 
 def test_every_option_and_every_fault_is_on_the_page() -> None:
-    for name in [field.name for field in fields(Options)] + list(KINDS):
+    for name in [field.name for field in fields(Options)] + list(PlcFault.kinds):
         assert f"`{name}`" in PAGE, name

@@ -8,11 +8,10 @@ from ur_machine import Wire, machine_of
 from ur_mock import loopback
 
 from hil_mock_robot.ur.dashboard import PRESSES
-from hil_mock_robot.ur.faults import KINDS, OWN_DURATION, Fault, read_faults
+from hil_mock_robot.ur.faults import UrFault, UrFaults
 from hil_mock_robot.ur.loop import LockStep
 from hil_mock_robot.ur.side import SideService
 from hil_mock_robot.ur.telling import request_of
-from hil_mock_robot.ur.troubles import Troubles
 from hil_mock_robot.ur.witness import SAFETY_FAULT, TOLD
 
 REFERENCE = Path(__file__).parents[1] / "docs" / "reference"
@@ -33,16 +32,19 @@ def rows():
     return {kind: re.findall(r"`(\w+)`(?: \((.*?)\))?", keys) for kind, keys in found}
 
 
+WHEN = {"at_s", "motion", "program", "after_s"}
+
+
 def test_every_kind_is_there_with_its_keys():
     told = {kind: {key for key, _ in keys} for kind, keys in rows().items()}
     for kind in ("jitter", "late"):
         told[kind].add("for_s")
-    assert told == {kind: set(keys) for kind, keys in KINDS.items()}
+    assert told == {kind: set(each.keys) - WHEN for kind, each in UrFault.kinds.items()}
 
 
 def test_the_defaults_are_those_of_the_code():
     for kind, keys in rows().items():
-        fault = Fault(kind, for_s=OWN_DURATION.get(kind, float("inf")))
+        fault = UrFault.make(kind)
         for key, default in keys:
             if default:
                 value = getattr(fault, key)
@@ -52,7 +54,7 @@ def test_the_defaults_are_those_of_the_code():
 def test_every_request_and_event_is_there():
     asked = set(re.findall(r'^\| `\{"do": "(\w+)"', section("Side channel"), re.M))
     machine = machine_of()
-    session = SideService(1, machine, Troubles(machine), LockStep()).accept(Wire())
+    session = SideService(1, machine, UrFaults(machine), LockStep()).accept(Wire())
     assert asked == set(session._answers)
     journal = section("Journal")
     assert all(f"`{SAFETY_FAULT.get(event, event)}`" in journal for event in TOLD)
@@ -64,7 +66,7 @@ def test_every_button_is_there_and_every_command_of_the_shell_is_one():
     assert told
     assert re.findall(r"`(\w+)`", told[1]) == list(PRESSES)
     stops = re.findall(r"^\| `(\w+)`", released, re.M)
-    assert set(stops) <= set(KINDS)
+    assert set(stops) <= set(UrFault.kinds)
     pressed = set(re.findall(r"`pendant (\w+)`", released))
     assert pressed <= set(PRESSES)
     for line in re.findall(r"^hil mock ur tell (.*?)\s*(?:#.*)?$", released, re.M):
@@ -75,7 +77,7 @@ def test_every_button_is_there_and_every_command_of_the_shell_is_one():
 def test_the_file_is_one(tmp_path):
     path = tmp_path / "faults.yaml"
     path.write_text(block("yaml"), "utf-8")
-    assert [fault.kind for fault in read_faults(path)] == ["silence", "protective_stop", "reboot"]
+    assert [fault.kind for fault in UrFault.read(path)] == ["silence", "protective_stop", "reboot"]
 
 
 @pytest.mark.wire

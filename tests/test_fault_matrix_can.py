@@ -12,7 +12,7 @@ import pytest
 from faults.can_cases import FAULTS, Case, steps_of
 from faults.can_field import Field, run_field
 
-from hil_mock_robot.cia402.faults import KINDS
+from hil_mock_robot.cia402.faults import CanFault
 
 LOST_AT_MOST_S = 0.25
 """Wall time of samples before the fault that may be lacking."""
@@ -77,7 +77,9 @@ def _require_stopped(case: Case, field: Field, told: str) -> None:
 
 
 def test_every_kind_of_fault_of_the_mock_drives_is_in_the_matrix() -> None:
-    assert {ending.fault["kind"] for ending in FAULTS.values() if ending.fault} == set(KINDS)
+    assert {ending.fault["kind"] for ending in FAULTS.values() if ending.fault} == set(
+        CanFault.kinds
+    )
 
 
 def _keep(case: Case, field: Field) -> None:

@@ -12,7 +12,7 @@ import pytest
 from faults.ur_cases import FAULTS, Case, steps_of
 from faults.ur_field import Field, run_field
 
-from hil_mock_robot.ur.faults import KINDS
+from hil_mock_robot.ur.faults import UrFault
 
 LOST_AT_MOST_S = 0.25
 """Device time of samples before the fault that may be lacking."""
@@ -65,7 +65,7 @@ def _require_stopped(case: Case, field: Field, told: str) -> None:
 
 
 def test_every_kind_of_fault_of_the_mock_is_in_the_matrix() -> None:
-    assert {ending.fault["kind"] for ending in FAULTS.values()} == set(KINDS)
+    assert {ending.fault["kind"] for ending in FAULTS.values()} == set(UrFault.kinds)
 
 
 def _keep(case: Case, field: Field) -> None:

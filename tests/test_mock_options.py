@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from hil.core.errors import SpecError
-from hil_mock_robot.embedded.faults import KINDS, Fault, faults_of
+from hil_mock_robot.embedded.faults import EmbeddedFault
 from hil_mock_robot.embedded.options import Options
 from hil_mock_robot.embedded.robot import MockRobot
 
@@ -31,9 +31,12 @@ PAGE = Path(__file__).parents[1] / "docs" / "reference" / "mock.md"
         ({"faults": ["freeze"]}, r"faults\[0\] is 'freeze'"),
         ({"faults": [{"kind": "melt", "at_s": 1}]}, r"faults\[0\] is .*melt"),
         ({"faults": [{"kind": "nan", "at_s": 1}, {"kind": "freeze"}]}, r"faults\[1\] is"),
-        ({"faults": [{"kind": "freeze", "at_s": 1, "segment": 1}]}, r"faults\[0\] is"),
-        ({"faults": [{"kind": "freeze", "at_s": "soon"}]}, r"faults\[0\]\.at_s is 'soon'"),
-        ({"faults": [{"kind": "freeze", "at_s": -1}]}, r"faults\[0\]\.at_s is -1"),
+        ({"faults": [{"kind": "freeze", "at_s": 1, "segment": 1}]}, r"\(freeze\) is"),
+        (
+            {"faults": [{"kind": "freeze", "at_s": "soon"}]},
+            r"mock option faults\[0\] \(freeze\)\.at_s is 'soon'",
+        ),
+        ({"faults": [{"kind": "freeze", "at_s": -1}]}, r"\.at_s is -1"),
         ({"faults": [{"kind": "freeze", "at_s": 1, "by_s": 1}]}, r"\(freeze\) has no key by_s"),
         ({"faults": [{"kind": "freeze", "at_s": 1, "after_s": 1}]}, r"after_s is 1"),
         ({"faults": [{"kind": "lag", "at_s": 1}]}, r"\(lag\) lacks by_s"),
@@ -54,11 +57,10 @@ def test_faults_are_read_as_they_stand_in_a_station():
         {"kind": "lag", "segment": 3, "after_s": 0.5, "by_s": 0.2, "for_s": 1},
         {"kind": "clock_jump", "at_s": 1.0, "by_s": -3.0},
     ]
-    assert faults_of(given) == (
-        Fault("protective_stop", at_s=2.0),
-        Fault("lag", segment=3, after_s=0.5, by_s=0.2, for_s=1.0),
-        Fault("clock_jump", at_s=1.0, by_s=-3.0),
-    )
+    stop, lag, jump = EmbeddedFault.all_of(given)
+    assert (stop.kind, stop.at_s, stop.segment) == ("protective_stop", 2.0, None)
+    assert (lag.segment, lag.after_s, lag.by_s, lag.for_s) == (3, 0.5, 0.2, 1.0)
+    assert (jump.at_s, jump.by_s) == (1.0, -3.0)
 
 
 def test_the_clock_is_virtual_unless_the_station_says_wall():
@@ -69,4 +71,4 @@ def test_the_clock_is_virtual_unless_the_station_says_wall():
 def test_the_reference_has_a_row_for_every_option_and_every_kind_of_fault():
     rows = re.findall(r"^\| `(\w+)` \|", PAGE.read_text("utf-8"), re.MULTILINE)
     assert rows[: len(Options.__dataclass_fields__)] == list(Options.__dataclass_fields__)
-    assert set(KINDS) <= set(rows)
+    assert set(EmbeddedFault.kinds) <= set(rows)

@@ -15,7 +15,7 @@ from hil.core.errors import SpecError
 from hil.core.yaml import DEEPEST_LOOK, look_into
 from hil.maintenance.fleet import spec_for
 from hil.spec.draft import as_scalar
-from hil_mock_robot.ur.faults import read_faults
+from hil_mock_robot.ur.faults import UrFault
 
 LINKED = "- &a0 [x]\n" + "".join(f"- &a{i} [*a{i - 1}]\n" for i in range(1, 200))
 LAUGHS = "a0: &a0 {k: 1}\n" + "".join(
@@ -63,7 +63,7 @@ def test_files_from_elsewhere_are_refused_however_deep(tmp_path: Path) -> None:
     with pytest.raises(SpecError, match=said):
         load_arm(str(deep))
     with pytest.raises(SpecError, match=said):
-        read_faults(deep)
+        UrFault.read(deep)
     with pytest.raises(SpecError, match=said):
         spec_for(deep.read_text(), str(deep), "ur5")
     assert as_scalar("[" * 5000).startswith('"[')

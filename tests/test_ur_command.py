@@ -16,12 +16,12 @@ from hil.core.errors import CommandRefused, PluginError, SpecError
 from hil_mock_robot.server.options import loopback_of
 from hil_mock_robot.ur.app import main
 from hil_mock_robot.ur.dashboard import PRESSES, pressed
+from hil_mock_robot.ur.faults import UrFaults
 from hil_mock_robot.ur.loop import LockStep, listen
 from hil_mock_robot.ur.modes import RobotMode, SafetyMode
 from hil_mock_robot.ur.options import serial_of
 from hil_mock_robot.ur.side import SideService
 from hil_mock_robot.ur.telling import request_of, tell
-from hil_mock_robot.ur.troubles import Troubles
 
 EMERGENCY_WAY = ("release_emergency_stop", "power_on", "brake_release")
 FAULT_WAY = ("restart_safety", "power_on", "brake_release")
@@ -170,9 +170,9 @@ def test_buttons_that_are_not_there_are_refused_with_those_that_are(asked):
 
 def test_nothing_can_be_pressed_while_the_controller_boots():
     machine = machine_of()
-    troubles = Troubles(machine)
+    faults = UrFaults(machine)
     wire = Wire()
-    session = SideService(1, machine, troubles, LockStep()).accept(wire)
+    session = SideService(1, machine, faults, LockStep()).accept(wire)
     session.received(b'{"do": "fault", "kind": "reboot"}\n{"do": "pendant", "press": "stop"}\n')
     assert b"booting" in bytes(wire.sent)
 

@@ -1,6 +1,7 @@
 """Faults of the mock UR controller: what can be asked for, when they strike, what the line does."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,12 +11,11 @@ from hil.arms.payload import Payload
 from hil.core.errors import SpecError
 from hil_mock_robot.server.faults import Schedule
 from hil_mock_robot.ur.dashboard import IdleProgram
-from hil_mock_robot.ur.faults import Fault, fault_of, faults_of, read_faults
+from hil_mock_robot.ur.faults import Target, UrFault, UrFaults
 from hil_mock_robot.ur.machine import CODE
 from hil_mock_robot.ur.modes import RobotMode, RuntimeState, SafetyMode
 from hil_mock_robot.ur.motion import MoveJ, StopJoints
 from hil_mock_robot.ur.rtde import Ownership
-from hil_mock_robot.ur.troubles import Troubles
 from hil_mock_robot.ur.wire import Framer, Kind, Line, package
 
 pytestmark = pytest.mark.quick
@@ -54,7 +54,7 @@ TICK = 0.008
 )
 def test_what_cannot_be_is_refused_in_words(given, words):
     with pytest.raises(SpecError, match=words) as refused:
-        faults_of(given)
+        UrFault.all_of(given)
     assert refused.value.hint
 
 
@@ -62,19 +62,20 @@ def test_a_file_holds_a_list_or_faults_and_says_its_name_when_it_does_not(tmp_pa
     path = tmp_path / "faults.yaml"
     for text in ("- {kind: cut, at_s: 1}", "faults:\n  - {kind: cut, at_s: 1}"):
         path.write_text(text)
-        assert read_faults(path) == (Fault("cut", at_s=1.0, for_s=0.0),)
+        (cut,) = UrFault.read(path)
+        assert (cut.kind, cut.at_s, cut.for_s) == ("cut", 1.0, 0.0)
     for text in ("- {kind: quake, at_s: 1}", "a: [", "mistakes: []"):
         path.write_text(text)
         with pytest.raises(SpecError, match=r"faults\.yaml"):
-            read_faults(path)
+            UrFault.read(path)
     with pytest.raises(SpecError, match="nowhere"):
-        read_faults(tmp_path / "nowhere.yaml")
+        UrFault.read(tmp_path / "nowhere.yaml")
 
 
 def test_what_lasts_ends_when_it_is_told_to_or_never():
-    assert fault_of("f", {"kind": "silence"}).for_s == math.inf
-    assert fault_of("f", {"kind": "silence", "for_s": 2}).for_s == 2.0
-    assert fault_of("f", {"kind": "reboot"}).for_s == 3.0
+    assert UrFault.one_of("f", {"kind": "silence"}).for_s == math.inf
+    assert UrFault.one_of("f", {"kind": "silence", "for_s": 2}).for_s == 2.0
+    assert UrFault.one_of("f", {"kind": "reboot"}).for_s == 3.0
 
 
 # When they strike
@@ -93,7 +94,10 @@ def strikes(schedule, ticks, began=None):
 
 
 def test_a_dated_fault_begins_with_its_tick_and_lasts_as_long_as_said():
-    faults = [Fault("silence", at_s=0.08, for_s=0.04), Fault("emergency_stop", at_s=0.081)]
+    faults = [
+        UrFault.make("silence", at_s=0.08, for_s=0.04),
+        UrFault.make("emergency_stop", at_s=0.081),
+    ]
     assert strikes(Schedule(faults, TICK), 20) == [
         (10, "silence", True),
         (11, "emergency_stop", True),
@@ -102,7 +106,10 @@ def test_a_dated_fault_begins_with_its_tick_and_lasts_as_long_as_said():
 
 
 def test_a_fault_waits_for_its_motion_or_program():
-    faults = [Fault("cut", motion=2, after_s=0.04, for_s=0.0), Fault("freeze", program=1)]
+    faults = [
+        UrFault.make("cut", motion=2, after_s=0.04, for_s=0.0),
+        UrFault.make("freeze", program=1),
+    ]
     began = {3: "motion", 5: "program", 10: "motion"}
     assert strikes(Schedule(faults, TICK), 20, began) == [
         (5, "freeze", True),
@@ -112,7 +119,7 @@ def test_a_fault_waits_for_its_motion_or_program():
 
 
 def test_what_is_cleared_neither_lasts_nor_comes():
-    schedule = Schedule([Fault("silence", at_s=0.0), Fault("cut", at_s=0.08)], TICK)
+    schedule = Schedule([UrFault.make("silence", at_s=0.0), UrFault.make("cut", at_s=0.08)], TICK)
     strikes(schedule, 3)
     assert [fault.kind for fault in schedule.clear(keep="reboot")] == ["silence"]
     assert strikes(schedule, 20) == []
@@ -125,12 +132,17 @@ def data(number):
     return package(Kind.DATA, bytes([1]) + number.to_bytes(8, "big"))
 
 
+def on(line):
+    """What faults act on, of which there is only a line."""
+    return Target(SimpleNamespace(line=line))
+
+
 def line_with(*faults, seed=3):
     line, wire = Line(TICK, seed), Wire()
     end = line.over(wire)
     end.send(data(0))
     for fault in faults:
-        line.begin(fault)
+        fault.begin(on(line))
     return line, end, wire
 
 
@@ -154,23 +166,23 @@ def test_a_sound_line_passes_packages_as_they_are():
 
 
 def test_dropped_and_duplicated_packages():
-    assert sent_over(*line_with(Fault("drop", packages=2)), 4) == [(3, 3), (4, 4)]
+    assert sent_over(*line_with(UrFault.make("drop", packages=2)), 4) == [(3, 3), (4, 4)]
     twice = [(1, 1), (1, 1), (2, 2), (3, 3)]
-    assert sent_over(*line_with(Fault("duplicate")), 3) == twice
+    assert sent_over(*line_with(UrFault.make("duplicate")), 3) == twice
 
 
 def test_a_line_is_sound_again_after_the_last_spoilt_package():
-    line, end, wire = line_with(Fault("drop"))
+    line, end, wire = line_with(UrFault.make("drop"))
     assert not line.sound
     sent_over(line, end, wire, 2)
     assert line.sound
 
 
 def test_late_packages_come_complete_in_order_and_all_at_once_when_it_is_over():
-    late = Fault("late", by_s=3 * TICK)
+    late = UrFault.make("late", by_s=3 * TICK)
     line, end, wire = line_with(late)
     assert sent_over(line, end, wire, 6) == [(1, 4), (2, 5), (3, 6)]
-    line.end(late)
+    late.end(on(line))
     line.tick()
     line.tick()
     line.tick()
@@ -180,7 +192,7 @@ def test_late_packages_come_complete_in_order_and_all_at_once_when_it_is_over():
 
 def test_jitter_delays_differently_keeps_the_order_and_is_the_same_for_the_same_seed():
     def arrivals(seed):
-        return sent_over(*line_with(Fault("jitter", by_s=5 * TICK), seed=seed), 200)
+        return sent_over(*line_with(UrFault.make("jitter", by_s=5 * TICK), seed=seed), 200)
 
     arrived = arrivals(3)
     assert [number for number, _ in arrived] == list(range(1, len(arrived) + 1))
@@ -192,11 +204,11 @@ def test_jitter_delays_differently_keeps_the_order_and_is_the_same_for_the_same_
 
 
 def test_frozen_packages_repeat_the_last_one_before():
-    assert [number for number, _ in sent_over(*line_with(Fault("freeze")), 3)] == [0, 0, 0]
+    assert [number for number, _ in sent_over(*line_with(UrFault.make("freeze")), 3)] == [0, 0, 0]
 
 
 def test_silence_swallows_replies_too():
-    _, end, wire = line_with(Fault("silence"))
+    _, end, wire = line_with(UrFault.make("silence"))
     wire.take()
     end.send(data(1))
     end.send(package(Kind.START, b"\x01"))
@@ -205,7 +217,7 @@ def test_silence_swallows_replies_too():
 
 @pytest.mark.parametrize("by_bytes", [-4, 5])
 def test_a_package_of_the_wrong_length_says_so_in_its_header(by_bytes):
-    _, end, wire = line_with(Fault("wrong_length", by_bytes=by_bytes))
+    _, end, wire = line_with(UrFault.make("wrong_length", by_bytes=by_bytes))
     wire.take()
     end.send(data(1))
     end.send(data(2))
@@ -214,7 +226,7 @@ def test_a_package_of_the_wrong_length_says_so_in_its_header(by_bytes):
 
 
 def test_garbage_is_as_long_as_what_it_replaces_and_never_the_reply_to_a_question():
-    _, end, wire = line_with(Fault("garbage"))
+    _, end, wire = line_with(UrFault.make("garbage"))
     wire.take()
     end.send(package(Kind.START, b"\x01"))
     assert wire.take() == package(Kind.START, b"\x01")
@@ -225,12 +237,12 @@ def test_garbage_is_as_long_as_what_it_replaces_and_never_the_reply_to_a_questio
 
 
 def test_a_cut_line_hangs_up_and_goes_on_doing_so_until_it_is_over():
-    cut = Fault("cut", for_s=1.0)
+    cut = UrFault.make("cut", for_s=1.0)
     line, end, wire = line_with(cut)
     assert end.closed
     assert wire.closed
     assert line.over(Wire()).closed
-    line.end(cut)
+    cut.end(on(line))
     assert not line.over(Wire()).closed
 
 
@@ -246,19 +258,19 @@ def test_a_cut_may_strike_only_those_who_own_inputs():
     troubled(machine_of(), owners=owners).add({"kind": "cut", "only": "inputs"})
     assert (writer.hung_up, reader.hung_up) == (1, 0)
     with pytest.raises(SpecError, match="only"):
-        fault_of("f", {"kind": "cut", "only": "readers"})
+        UrFault.one_of("f", {"kind": "cut", "only": "readers"})
 
 
 # The machine
 
 
-def troubled(machine, *faults, owners=None):
-    return Troubles(machine, faults, owners)
+def troubled(machine, *planned, owners=None):
+    return UrFaults(machine, planned, owners)
 
 
-def turn(machine, troubles, seconds):
+def turn(machine, faults, seconds):
     for _ in range(round(seconds / machine.tick_s)):
-        troubles.tick()
+        faults.tick()
         machine.tick()
 
 
@@ -278,27 +290,27 @@ def aside(machine):
 )
 def test_a_stop_strikes_in_the_motion_it_was_meant_for_and_the_arm_rests(kind, safety, code):
     machine = machine_of()
-    troubles = troubled(machine, Fault(kind, motion=1, after_s=0.2))
-    turn(machine, troubles, 0.5)
+    faults = troubled(machine, UrFault.make(kind, motion=1, after_s=0.2))
+    turn(machine, faults, 0.5)
     assert machine.modes.running
     aside(machine)
-    turn(machine, troubles, 0.192)
+    turn(machine, faults, 0.192)
     assert machine.modes.running
     assert np.abs(machine.reading.true_qd).max() > 0.1
-    turn(machine, troubles, 0.3)
+    turn(machine, faults, 0.3)
     assert (machine.modes.safety, machine.modes.stop_code) == (safety, code)
     assert np.abs(machine.reading.true_qd).max() < 0.01
 
 
 def test_a_safeguard_that_closes_again_lets_a_paused_program_go_on_when_told_to():
     machine = machine_of()
-    troubles = troubled(machine, Fault("safeguard_stop", at_s=0.1, for_s=0.2))
+    faults = troubled(machine, UrFault.make("safeguard_stop", at_s=0.1, for_s=0.2))
     machine.play(IdleProgram("work"))
-    turn(machine, troubles, 0.2)
+    turn(machine, faults, 0.2)
     assert machine.runtime is RuntimeState.PAUSED
     machine.resume()
     assert machine.runtime is RuntimeState.PAUSED
-    turn(machine, troubles, 0.3)
+    turn(machine, faults, 0.3)
     assert (machine.modes.safety, machine.runtime) == (SafetyMode.NORMAL, RuntimeState.PAUSED)
     machine.resume()
     assert machine.runtime is RuntimeState.PLAYING
@@ -307,23 +319,23 @@ def test_a_safeguard_that_closes_again_lets_a_paused_program_go_on_when_told_to(
 
 def test_a_safeguard_does_not_end_a_protective_stop():
     machine = machine_of()
-    troubles = troubled(machine, Fault("safeguard_stop", at_s=0.1, for_s=0.2))
-    turn(machine, troubles, 0.2)
+    faults = troubled(machine, UrFault.make("safeguard_stop", at_s=0.1, for_s=0.2))
+    turn(machine, faults, 0.2)
     machine.protective_stop(158)
-    turn(machine, troubles, 0.3)
+    turn(machine, faults, 0.3)
     assert machine.modes.safety is SafetyMode.PROTECTIVE_STOP
 
 
 def test_stopping_motions_are_not_counted():
     machine = machine_of()
-    troubles = troubled(machine, Fault("protective_stop", motion=2))
+    faults = troubled(machine, UrFault.make("protective_stop", motion=2))
     aside(machine)
-    turn(machine, troubles, 0.2)
+    turn(machine, faults, 0.2)
     machine.move(StopJoints(8.0, machine.tick_s))
-    turn(machine, troubles, 0.5)
+    turn(machine, faults, 0.5)
     assert machine.modes.running
     aside(machine)
-    turn(machine, troubles, 0.1)
+    turn(machine, faults, 0.1)
     assert not machine.modes.running
 
 
@@ -357,18 +369,18 @@ def test_a_collision_is_a_protective_stop_with_the_code_of_its_kind():
 
 def test_a_reboot_starts_the_clock_at_0_without_program_load_or_power():
     machine = machine_of()
-    troubles = troubled(machine, Fault("reboot", at_s=0.5, for_s=1.0))
+    faults = troubled(machine, UrFault.make("reboot", at_s=0.5, for_s=1.0))
     aside(machine)
     machine.body.declare(Payload(2.0))
     machine.write("input_int_register_0", 7)
-    turn(machine, troubles, 0.496)
-    troubles.tick()
-    assert troubles.dark
+    turn(machine, faults, 0.496)
+    faults.tick()
+    assert faults.mock.dark
     assert machine.body.braked
     for _ in range(125):
-        assert troubles.dark
-        troubles.tick()
-    assert not troubles.dark
+        assert faults.mock.dark
+        faults.tick()
+    assert not faults.mock.dark
     assert (machine.ticks, machine.runtime) == (0, RuntimeState.STOPPED)
     assert machine.modes.robot is RobotMode.POWER_OFF
     assert machine.inputs["input_int_register_0"] == 0
@@ -394,14 +406,14 @@ def test_what_hangs_at_the_flange_still_does_after_a_reboot():
 
 def test_a_payload_that_is_refused_is_not_read_back_until_the_fault_is_over():
     machine = machine_of()
-    troubles = troubled(machine, Fault("payload_refused", at_s=0.0, for_s=0.4))
-    turn(machine, troubles, 0.1)
+    faults = troubled(machine, UrFault.make("payload_refused", at_s=0.0, for_s=0.4))
+    turn(machine, faults, 0.1)
     machine.body.declare(Payload(1.5))
-    turn(machine, troubles, 0.1)
+    turn(machine, faults, 0.1)
     assert machine.outputs["payload"] == 0.0
-    turn(machine, troubles, 0.4)
+    turn(machine, faults, 0.4)
     machine.body.declare(Payload(1.5))
-    turn(machine, troubles, 0.1)
+    turn(machine, faults, 0.1)
     assert machine.outputs["payload"] == 1.5
 
 
@@ -409,42 +421,42 @@ def test_inputs_that_somebody_else_owns_are_free_again_afterwards():
     machine, owners = machine_of(), Ownership()
     mine = object()
     owners.take(["speed_slider_mask"], mine)
-    troubles = troubled(machine, Fault("inputs_owned", at_s=0.0, for_s=0.4), owners=owners)
-    turn(machine, troubles, 0.1)
+    faults = troubled(machine, UrFault.make("inputs_owned", at_s=0.0, for_s=0.4), owners=owners)
+    turn(machine, faults, 0.1)
     assert not owners.free("input_int_register_0", mine)
     assert owners.free("speed_slider_mask", mine)
-    turn(machine, troubles, 0.4)
+    turn(machine, faults, 0.4)
     assert owners.free("input_int_register_0", mine)
 
 
 def test_ports_are_mute_or_the_cable_is_out_only_as_long_as_said():
     machine = machine_of()
-    troubles = troubled(
+    faults = troubled(
         machine,
-        Fault("dashboard_hang", at_s=0.0, for_s=0.2),
-        Fault("unplugged", at_s=0.1, for_s=0.2),
-        Fault("remote_off", at_s=0.0, for_s=0.2),
+        UrFault.make("dashboard_hang", at_s=0.0, for_s=0.2),
+        UrFault.make("unplugged", at_s=0.1, for_s=0.2),
+        UrFault.make("remote_off", at_s=0.0, for_s=0.2),
     )
-    turn(machine, troubles, 0.16)
-    assert troubles.unplugged
-    assert troubles.mute == {29999}
+    turn(machine, faults, 0.16)
+    assert faults.mock.unplugged
+    assert faults.mock.mute == {29999}
     assert not machine.modes.remote
-    turn(machine, troubles, 0.2)
-    assert not troubles.unplugged
-    assert not troubles.mute
+    turn(machine, faults, 0.2)
+    assert not faults.mock.unplugged
+    assert not faults.mock.mute
     assert machine.modes.remote
 
 
 def test_clear_ends_what_lasts_but_no_reboot():
     machine = machine_of()
-    troubles = troubled(machine)
+    faults = troubled(machine)
     for kind in ("silence", "remote_off", "reboot"):
-        troubles.add({"kind": kind})
-    troubles.tick()
-    troubles.clear()
+        faults.add({"kind": kind})
+    faults.tick()
+    faults.clear()
     assert machine.line.sound
     assert machine.modes.remote
-    assert troubles.dark
+    assert faults.mock.dark
     for _ in range(round(3.0 / machine.tick_s)):
-        troubles.tick()
-    assert not troubles.dark
+        faults.tick()
+    assert not faults.mock.dark

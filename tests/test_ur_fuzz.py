@@ -16,13 +16,12 @@ from hil_mock_robot.server.journal import Journal
 from hil_mock_robot.ur.contracts import Service
 from hil_mock_robot.ur.control_script import HANDLERS
 from hil_mock_robot.ur.dashboard import COMMANDS, CONTROL_LOOP
-from hil_mock_robot.ur.faults import KINDS, WHEN
+from hil_mock_robot.ur.faults import UrFault, UrFaults
 from hil_mock_robot.ur.loop import LockStep
 from hil_mock_robot.ur.rtde import RtdeService
 from hil_mock_robot.ur.script_functions import ACTIONS
 from hil_mock_robot.ur.services import services_of
 from hil_mock_robot.ur.side import SideService
-from hil_mock_robot.ur.troubles import Troubles
 from hil_mock_robot.ur.variables import inputs_of, outputs_of, series_of
 from hil_mock_robot.ur.wire import Framer, Kind, package
 from hil_mock_robot.ur.witness import Witness
@@ -57,13 +56,13 @@ class Controller:
         self.machine = machine_of(arm)
         services: list[Service] = list(services_of(self.machine))
         owners = next(each.owners for each in services if isinstance(each, RtdeService))
-        self.troubles = Troubles(self.machine, (), owners)
+        self.faults = UrFaults(self.machine, (), owners)
         self.pacer = LockStep()
-        self.side = SideService(SIDE, self.machine, self.troubles, self.pacer)
+        self.side = SideService(SIDE, self.machine, self.faults, self.pacer)
         journal = Journal(path, "fuzzed")
         journal.open()
         self.witness = Witness(self.machine, journal)
-        self.troubles.listeners.append(self.witness.struck)
+        self.faults.listeners.append(self.witness.struck)
         self.services = {each.port: each for each in (*services, self.side)}
         self.clients = {}
         for port in self.services:
@@ -90,8 +89,8 @@ class Controller:
     def tick(self):
         """As `Loop` does it, with a permit for every tick."""
         self.pacer.allow(1)
-        self.troubles.tick()
-        if not self.troubles.dark:
+        self.faults.tick()
+        if not self.faults.mock.dark:
             self.machine.tick()
         self.pacer.ticked()
         for _, session in self.clients.values():
@@ -188,12 +187,12 @@ programs = st.one_of(
     st.just(CONTROL.decode()),
     st.text(max_size=60),
 ).map(lambda text: text.encode("utf-8", "surrogatepass"))
-keys = sorted({"kind", *WHEN, *(key for more in KINDS.values() for key in more)})
+keys = sorted({"kind", *(key for kind in UrFault.kinds.values() for key in kind.keys)})
 given_values = st.one_of(numbers, whole, st.booleans(), st.just("inputs"))
 requests = st.one_of(
     st.builds(
         lambda kind, more: {"do": "fault", "kind": kind, **more},
-        st.sampled_from(list(KINDS)),
+        st.sampled_from(list(UrFault.kinds)),
         st.dictionaries(st.sampled_from(keys), given_values, max_size=3),
     ),
     st.builds(lambda q: {"do": "push", "torque": q}, st.lists(numbers, min_size=6, max_size=6)),
@@ -218,9 +217,9 @@ said = st.one_of(
 
 def sound(controller):
     """It still does what a controller does: answers, publishes what can be packed, and stops."""
-    controller.side.troubles.clear()
+    controller.side.faults.clear()
     for _ in range(1000):
-        if not controller.troubles.dark:
+        if not controller.faults.mock.dark:
             break
         controller.tick()
     else:

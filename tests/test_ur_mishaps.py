@@ -8,13 +8,13 @@ import pytest
 from ur_machine import Wire, machine_of, pass_time
 from ur_raw import Raw, address
 
+from hil_mock_robot.ur.faults import UrFaults
 from hil_mock_robot.ur.loop import FreeRun, LockStep, Loop
 from hil_mock_robot.ur.modes import RuntimeState
 from hil_mock_robot.ur.motion import MoveJ
 from hil_mock_robot.ur.program import Threaded
 from hil_mock_robot.ur.rtde import RtdeService
 from hil_mock_robot.ur.side import SideService
-from hil_mock_robot.ur.troubles import Troubles
 
 pytestmark = pytest.mark.quick
 
@@ -183,7 +183,7 @@ def test_in_tests_a_mistake_with_a_client_is_seen(where, loop_with):
 
 def side():
     machine = machine_of()
-    service = SideService(30100, machine, Troubles(machine), LockStep())
+    service = SideService(30100, machine, UrFaults(machine), LockStep())
     wire = Wire()
     return service, service.accept(wire), wire
 
@@ -217,7 +217,7 @@ def test_a_request_that_cannot_be_gets_an_answer_in_words(line):
     assert answer["error"]
     assert answer["hint"]
     for _ in range(3):
-        service.troubles.tick()
+        service.faults.tick()
 
 
 def test_requests_that_wait_for_a_step_are_not_kept_without_bound():

@@ -7,8 +7,8 @@ from ur_machine import Wire, machine_of
 
 from hil_mock_robot.server.journal import Journal, read_journal
 from hil_mock_robot.ur import loop
+from hil_mock_robot.ur.faults import UrFaults
 from hil_mock_robot.ur.side import SideService
-from hil_mock_robot.ur.troubles import Troubles
 from hil_mock_robot.ur.witness import Witness
 
 pytestmark = pytest.mark.quick
@@ -94,7 +94,7 @@ def test_a_slip_is_a_line_of_the_journal(clock, tmp_path):
 
 def test_the_side_channel_says_how_far_the_mock_is_behind(clock):
     machine, wire, pacer = machine_of(), Wire(), loop.RealTime(0.1)
-    session = SideService(1, machine, Troubles(machine), pacer).accept(wire)
+    session = SideService(1, machine, UrFaults(machine), pacer).accept(wire)
     busy(pacer, clock, 20.0)
     session.received(b'{"do": "state"}\n')
     state = json.loads(bytes(wire.sent))
@@ -104,7 +104,7 @@ def test_the_side_channel_says_how_far_the_mock_is_behind(clock):
 
 def test_a_mock_that_has_no_pace_to_keep_is_never_behind():
     machine, wire = machine_of(), Wire()
-    session = SideService(1, machine, Troubles(machine), loop.FreeRun()).accept(wire)
+    session = SideService(1, machine, UrFaults(machine), loop.FreeRun()).accept(wire)
     session.received(b'{"do": "state"}\n')
     state = json.loads(bytes(wire.sent))
     assert (state["behind_s"], state["pace"]) == (None, None)

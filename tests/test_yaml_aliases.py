@@ -25,7 +25,7 @@ from hil.spec.load import load_spec, load_station
 from hil.spec.schedule import load_schedule_spec
 from hil.spec.series import load_series_spec
 from hil.workflow.operator import load_answers
-from hil_mock_robot.ur.faults import read_faults
+from hil_mock_robot.ur.faults import UrFault
 
 MOST_CPU_S = 0.05
 MOST_BYTES = 10e6
@@ -60,7 +60,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "drive gains": read_gains,
     "answers": load_answers,
     "description of an arm": lambda path: load_arm(str(path)),
-    "faults of a mock": read_faults,
+    "faults of a mock": UrFault.read,
 }
 
 

@@ -14,7 +14,7 @@ from hil.core import RecordingError
 from hil_mock_robot.cia402.assembly import Mock
 from hil_mock_robot.cia402.bus import HOSTED, BusEnd, end_of, side_path
 from hil_mock_robot.cia402.dictionary import eds_of, object_dictionary, registers_of
-from hil_mock_robot.cia402.faults import read_faults
+from hil_mock_robot.cia402.faults import CanFault
 from hil_mock_robot.cia402.options import NO_SIDE, OWN_COMMAND, mounted_in, parser_of
 from hil_mock_robot.cia402.telling import MAIN_KEYS, tell
 from hil_mock_robot.plant.truth import draw_truth
@@ -87,7 +87,7 @@ def _mock_of(given: argparse.Namespace, end: BusEnd) -> Mock:
         mounted=mounted_in(given.mounted_kg),
         master_id=given.master_id,
         patience_s=given.sync_patience_s,
-        faults=read_faults(given.faults) if given.faults else (),
+        faults=CanFault.read(given.faults) if given.faults else (),
         journal=given.journal,
         side=None if side == NO_SIDE else side,
     )

@@ -9,12 +9,11 @@ from pathlib import Path
 from hil.arms import Payload, load_arm
 from hil_mock_robot.cia402.body import Body
 from hil_mock_robot.cia402.bus import BusEnd
-from hil_mock_robot.cia402.faults import Fault
+from hil_mock_robot.cia402.faults import CanFault, faults_of_station
 from hil_mock_robot.cia402.loop import Loop
 from hil_mock_robot.cia402.options import MASTER_ID, nodes_of, pose_of
 from hil_mock_robot.cia402.side import Requests, SideChannel
 from hil_mock_robot.cia402.station import PATIENCE_S, DeviceClock, MotionWatch, Station
-from hil_mock_robot.cia402.troubles import Troubles
 from hil_mock_robot.cia402.witness import Witness
 from hil_mock_robot.plant.truth import Truth
 from hil_mock_robot.server.journal import Journal
@@ -36,7 +35,7 @@ class Mock:
         side: Socket of the side channel.
 
     Attributes:
-        station, motions, troubles, requests, loop: Its parts.
+        station, motions, faults, requests, loop: Its parts.
 
     Raises:
         SpecError: An option or a fault cannot be.
@@ -54,7 +53,7 @@ class Mock:
         mounted: Payload | None = None,
         master_id: int = MASTER_ID,
         patience_s: float = PATIENCE_S,
-        faults: Sequence[Fault] = (),
+        faults: Sequence[CanFault] = (),
         journal: Path | str | None = None,
         side: Path | str | None = None,
     ) -> None:
@@ -64,17 +63,22 @@ class Mock:
         self.station = Station(body, ids, end.send, clock, master_id, mounted, end.flush)
         self.motions = MotionWatch(self.station)
         witness = self._witness(end, journal)
-        self.troubles = Troubles(self.station, self.motions, end, faults)
+        self.faults = faults_of_station(self.station, end, faults)
+        self.motions.listeners.append(self._moved)
         if witness is not None:
-            self.troubles.listeners.append(witness.struck)
+            self.faults.listeners.append(witness.struck)
         # The motion is counted before faults that wait for it are looked at, and before the
         # journal says how it ended.
-        self.station.passed += [self.motions.passed, self.troubles.passed]
+        self.station.passed += [self.motions.passed, self.faults.passed]
         if witness is not None:
             self.station.passed.append(witness.passed)
-        self.requests = Requests(self.station, self.troubles)
+        self.requests = Requests(self.station, self.faults)
         channel = None if side is None else SideChannel(side, self.requests)
         self.loop = Loop(end, self.station, channel, witness)
+
+    def _moved(self, begins: bool) -> None:
+        if begins:
+            self.faults.began("motion")
 
     def _witness(self, end: BusEnd, path: Path | str | None) -> Witness | None:
         if path is None:

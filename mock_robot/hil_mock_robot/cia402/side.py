@@ -18,9 +18,10 @@ from typing import Any
 
 from hil.can import private_folder
 from hil.core import HilError, PluginError, SpecError
+from hil_mock_robot.cia402.faults import Target
 from hil_mock_robot.cia402.station import Station
-from hil_mock_robot.cia402.troubles import Troubles
 from hil_mock_robot.cia402.truths import truth_of
+from hil_mock_robot.server.faults import Faults
 from hil_mock_robot.server.side_channel import Request, SideClient, payload_in, torque_in
 
 Answer = dict[str, Any]
@@ -31,11 +32,11 @@ class Requests:
 
     Args:
         station: The drives.
-        troubles: What is wrong with them.
+        faults: What is wrong with them.
     """
 
-    def __init__(self, station: Station, troubles: Troubles) -> None:
-        self._station, self._troubles = station, troubles
+    def __init__(self, station: Station, faults: Faults[Target]) -> None:
+        self._station, self._faults = station, faults
         self._answers: dict[str, Callable[[Request], Answer]] = {
             "fault": self._fault,
             "clear": self._clear,
@@ -70,14 +71,14 @@ class Requests:
 
     def _fault(self, request: Request) -> Answer:
         given = {key: value for key, value in request.items() if key != "do"}
-        return {"fault": self._troubles.add(given).kind}
+        return {"fault": self._faults.add(given).kind}
 
     def _clear(self, request: Request) -> Answer:
-        self._troubles.clear()
+        self._faults.clear()
         return {}
 
     def _state(self, request: Request) -> Answer:
-        faults = [fault.kind for fault in self._troubles.lasting]
+        faults = [fault.kind for fault in self._faults.lasting]
         return {**truth_of(self._station), "faults": faults}
 
     def _push(self, request: Request) -> Answer:

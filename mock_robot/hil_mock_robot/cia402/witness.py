@@ -12,9 +12,10 @@ import numpy as np
 
 from hil_mock_robot.cia402 import keys
 from hil_mock_robot.cia402.contracts import STEP_S
-from hil_mock_robot.cia402.faults import Fault
+from hil_mock_robot.cia402.faults import CanFault, Target
 from hil_mock_robot.cia402.power import FAULTED, Command, State, command_of
 from hil_mock_robot.cia402.station import MotionWatch, Station
+from hil_mock_robot.server.faults import Fault
 from hil_mock_robot.server.journal import Journal, Moment, RestWatch
 
 ENABLED = State.OPERATION_ENABLED
@@ -55,9 +56,10 @@ class Witness:
             self._note("motion_over", **told)
             self._rest.stopped("motion_over", self._moment())
 
-    def struck(self, fault: Fault, begins: bool) -> None:
+    def struck(self, fault: Fault[Target], begins: bool) -> None:
         """A fault on request begins or is over."""
-        self._note("fault" if begins else "fault_over", kind=fault.kind, axis=fault.axis)
+        axis = fault.axis if isinstance(fault, CanFault) else 0
+        self._note("fault" if begins else "fault_over", kind=fault.kind, axis=axis)
 
     def stumbled(self, where: str, what: str) -> None:
         """The mock itself has made a mistake, and goes on."""

@@ -12,11 +12,18 @@ from hil.arms import Payload
 from hil.core import CommandRefused, FloatArray, RobotConnectionError, RobotFault, StructArray
 from hil.robot import Segment, Status
 from hil_mock_robot.embedded.arm import Arm, Sampling
-from hil_mock_robot.embedded.faults import Fault, Line, Schedule
-from hil_mock_robot.plant.records import EMERGENCY_STOP, FAULT_KINDS, FAULTS, PROTECTIVE_STOP
+from hil_mock_robot.embedded.faults import (
+    EmbeddedFault,
+    EmergencyStop,
+    Line,
+    ProtectiveStop,
+    Refuse,
+    Target,
+)
+from hil_mock_robot.plant.records import FAULT_KINDS, FAULTS
+from hil_mock_robot.server.faults import ROUNDING, Fault, Faults
 from hil_mock_robot.server.journal import REST_RAD_S, Journal, Moment, RestWatch
 
-STOPS = {"protective_stop": PROTECTIVE_STOP, "emergency_stop": EMERGENCY_STOP}
 BRAKING_AT_MOST_S = 5.0
 BRAKING_BLOCK = 16
 
@@ -37,7 +44,12 @@ class Controller:
     """
 
     def __init__(
-        self, name: str, arm: Arm, faults: Sequence[Fault], journal: Journal, spacing_s: float
+        self,
+        name: str,
+        arm: Arm,
+        faults: Sequence[EmbeddedFault],
+        journal: Journal,
+        spacing_s: float,
     ) -> None:
         self.name, self.arm = name, arm
         self.connected = False
@@ -46,7 +58,11 @@ class Controller:
         self.rest = RestWatch(journal)
         self._journal = journal
         self._sampling = Sampling(arm)
-        self._schedule = Schedule(faults, arm.rate_hz) if faults else None  # most have none
+        self._refusals = [fault for fault in faults if isinstance(fault, Refuse)]
+        planned = [fault for fault in faults if not isinstance(fault, Refuse)]
+        self._faults: Faults[Target] | None = None  # most have none
+        if planned:
+            self._faults = self._faults_of(planned)
         self._spacing_s = spacing_s
 
     @property
@@ -81,25 +97,28 @@ class Controller:
         """Accept a host: the line is new, and a fault that was is cleared by the arm."""
         self.connected, self.fault_told = True, False
         self.line.mend()
-        if self._schedule:
-            self._schedule.mend()
+        if self._faults:
+            self._faults.mend()
 
     def disconnect(self) -> None:
         """Let the host go."""
         self.rest.finish()
         self.connected = False
 
-    def strike(self, fault: Fault) -> None:
+    def strike(self, fault: EmbeddedFault) -> None:
         """Let something go wrong that nobody has planned; what is due begins with the next row."""
-        self._schedule = self._schedule or Schedule((), self.arm.rate_hz)
-        self._schedule.add(fault)
+        if isinstance(fault, Refuse):
+            self._refusals.append(fault)
+        elif self._faults is None:
+            self._faults = self._faults_of([fault])
+        else:
+            self._faults.plan(fault)
 
     def clear(self) -> None:
         """End what is wrong with the line, and forget what is to come."""
-        if self._schedule:
-            self._schedule.clear()
-        for fault in self.line.mend():
-            self.note("fault_over", kind=fault.kind)
+        self._refusals = []
+        if self._faults:
+            self._faults.clear()
 
     def prepare(self, segment: Segment) -> None:
         """Check and keep the next segment.
@@ -108,7 +127,7 @@ class Controller:
             CommandRefused: There is a fault, the segment cannot be, or a refusal was injected.
         """
         self._require_no_fault()
-        if self._schedule and self._schedule.refuses(segment.index, self.samples):
+        if self._refuses(segment.index):
             self.note("fault", kind="refuse", segment=segment.index)
             raise CommandRefused(
                 f"segment {segment.index} ({segment.kind}): refused, injected",
@@ -125,8 +144,8 @@ class Controller:
         self._require_no_fault()
         self.arm.motion.start()
         self.rest.moved()
-        if self._schedule:
-            self._schedule.began(self.arm.motion.segment, self.samples)
+        if self._faults:
+            self._faults.began("segment", self.arm.motion.segment, at=self.samples)
 
     def set_payload(self, payload: Payload) -> None:
         """See `Arm.set_payload`."""
@@ -162,8 +181,10 @@ class Controller:
 
     def produce(self, most: int) -> StructArray:
         """Let up to `most` samples of device time pass; returns the rows that get to the host."""
-        if self._schedule:
-            most = self._turn(self._schedule, most)
+        if self._faults:
+            # A block ends before the next change: what is wrong holds for whole blocks.
+            self._faults.reach(self.samples + 1)
+            most = self._faults.unchanged(most)
         before = self.arm.fault
         rows = self._sampling.advance(most)
         if self._spacing_s:
@@ -173,7 +194,7 @@ class Controller:
         if self.rest.waiting:
             now = time.monotonic()
             self.rest.see(rows["device_time"], self._sampling.qd, now, self._spacing_s)
-        return self.line.carry(rows, self.arm.device_time) if self._schedule else rows
+        return self.line.carry(rows, self.arm.device_time) if self._faults else rows
 
     def hand_over(self, rows: StructArray) -> StructArray:
         """Note what the host gets to know, on the way to it."""
@@ -201,19 +222,27 @@ class Controller:
                 f"{self.name}: {FAULTS[self.arm.fault]}", hint="find the cause, then reconnect"
             )
 
-    def _turn(self, schedule: Schedule, most: int) -> int:
-        """Begin and end what is due; returns how many samples pass until the next change."""
-        begun, over = schedule.turn(self.samples)
-        for fault in over:
-            self.line.end(fault)
-            self.note("fault_over", kind=fault.kind)
-        for fault in begun:
-            if fault.kind in STOPS:
-                self.trip(STOPS[fault.kind])
-            else:
-                self.note("fault", kind=fault.kind)
-                self.line.begin(fault)
-        return schedule.unchanged(self.samples, most)
+    def _faults_of(self, planned: Sequence[EmbeddedFault]) -> Faults[Target]:
+        faults: Faults[Target] = Faults(
+            self, EmbeddedFault, 1.0 / self.arm.rate_hz, planned, mend=self.line.mend
+        )
+        faults.listeners.append(self._struck)
+        return faults
+
+    def _struck(self, fault: Fault[Target], begins: bool) -> None:
+        """Journal a fault on request; `trip` does that for stops."""
+        if not isinstance(fault, ProtectiveStop | EmergencyStop):
+            self.note("fault" if begins else "fault_over", kind=fault.kind)
+
+    def _refuses(self, segment: int) -> bool:
+        """Whether to refuse this segment; each refusal is used up by one."""
+        now_s = self.samples / self.arm.rate_hz
+        for fault in self._refusals:
+            due = fault.at_s is not None and now_s >= fault.at_s - ROUNDING / self.arm.rate_hz
+            if due or fault.segment == segment:
+                self._refusals.remove(fault)
+                return True
+        return False
 
     def _note_failure(self) -> None:
         """The simulation found a fault and the brakes were engaged."""

@@ -1,186 +1,123 @@
-"""Faults of the embedded mock: the option `faults`, when they begin, what they do to the rows."""
+"""Faults of the embedded mock, one class each, and the line to its host on which they act.
+
+They are the option `faults` of a station, or asked for by `MockRobot.fault`
+(docs/reference/mock.md).
+"""
 
 from __future__ import annotations
 
-import math
-from collections import deque
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections import Counter, deque
+from typing import Protocol
 
 import numpy as np
 
-from hil.core import SpecError, StructArray
-from hil_mock_robot.server.options import numbers_of
-
-KINDS: dict[str, tuple[str, ...]] = {
-    "protective_stop": (),
-    "emergency_stop": (),
-    "refuse": (),
-    "cut": (),
-    "freeze": ("for_s",),
-    "silence": ("for_s",),
-    "hang": ("for_s",),
-    "nan": ("for_s",),
-    "lag": ("by_s", "for_s"),
-    "clock_jump": ("by_s",),
-    "drop": ("samples",),
-    "duplicate": ("samples",),
-}
-"""What can go wrong, and which further keys each kind has."""
-
-WHEN = ("at_s", "segment", "after_s")
-NEEDS_BY = ("lag", "clock_jump")
-ROUNDING = 1e-6
+from hil.core import StructArray
+from hil_mock_robot.plant.records import EMERGENCY_STOP, PROTECTIVE_STOP
+from hil_mock_robot.server.faults import LONGEST_S, REQUIRED, Fault, count, seconds
 
 
-@dataclass(frozen=True, slots=True)
-class Fault:
-    """One thing that goes wrong, once.
+class Target(Protocol):
+    """What faults act on: the controller."""
 
-    Attributes:
-        kind: One of `KINDS`.
-        at_s: Device time at which it begins.
-        segment: The segment it belongs to, when there is no `at_s`.
-        after_s: Device time from the start of that segment.
-        for_s: Device time it lasts.
-        by_s: How late rows come, or how far the device clock jumps.
-        samples: How many samples are dropped or sent twice.
-    """
+    @property
+    def line(self) -> Line:
+        """To its host."""
 
-    kind: str
-    at_s: float | None = None
-    segment: int | None = None
-    after_s: float = 0.0
-    for_s: float = math.inf
-    by_s: float = 0.0
-    samples: int = 1
+    def trip(self, fault: int) -> None:
+        """Stop by a fault of the controller's own (a code of `FAULTS`)."""
 
 
-def faults_of(given: Any) -> tuple[Fault, ...]:
-    """The faults of a station's list.
+class EmbeddedFault(Fault[Target], counted=("segment",), example="{kind: freeze, at_s: 2.0}"):
+    """A fault of the controller, or of the line to its host."""
 
-    Raises:
-        SpecError: One is unknown or cannot be; the message names it.
-    """
-    if isinstance(given, str | Mapping) or not isinstance(given, Sequence):
-        raise SpecError(
-            f"mock option faults is {given!r}", hint="give a list: [{kind: freeze, at_s: 2.0}]"
-        )
-    return tuple(_fault_of(f"faults[{i}]", entry) for i, entry in enumerate(given))
+    segment: int | None = count(None, least=0)
 
 
-def _fault_of(where: str, given: Any) -> Fault:
-    kind = given.get("kind") if isinstance(given, Mapping) else None
-    if not isinstance(kind, str) or kind not in KINDS:
-        raise _wrong(where, given, f"give kind: one of {', '.join(KINDS)}")
-    unknown = sorted(str(key) for key in set(given) - {"kind", *WHEN, *KINDS[kind]})
-    if unknown:
-        known = ", ".join((*WHEN, *KINDS[kind]))
-        raise _wrong(f"{where} ({kind})", unknown[0], f"this kind has {known}", what="has no key")
-    _require_when(where, kind, given)
-    if kind in NEEDS_BY and "by_s" not in given:
-        raise _wrong(f"{where} ({kind})", "by_s", "say by how many seconds", what="lacks")
-    numbers = {key: _value_of(f"{where}.{key}", key, kind, given[key]) for key in given}
-    return Fault(**{**numbers, "kind": kind})
+class ProtectiveStop(EmbeddedFault, kind="protective_stop"):
+    """The controller stops the arm."""
+
+    def begin(self, mock: Target) -> None:
+        mock.trip(PROTECTIVE_STOP)
 
 
-def _wrong(where: str, value: object, hint: str, what: str = "is") -> SpecError:
-    shown = value if what != "is" else repr(value)
-    return SpecError(f"mock option {where} {what} {shown}", hint=hint)
+class EmergencyStop(EmbeddedFault, kind="emergency_stop"):
+    """The red button."""
+
+    def begin(self, mock: Target) -> None:
+        mock.trip(EMERGENCY_STOP)
 
 
-def _require_when(where: str, kind: str, given: Mapping[str, Any]) -> None:
-    if ("at_s" in given) == ("segment" in given):
-        raise _wrong(where, dict(given), "give either at_s or segment")
-    relative = "segment" in given and kind != "refuse"
-    if "after_s" in given and not relative:
-        raise _wrong(f"{where}.after_s", given["after_s"], "it counts from the start of a segment")
+class Refuse(EmbeddedFault, kind="refuse"):
+    """That segment, or the first one after that time, is refused; `Controller.prepare` does it."""
 
 
-def _value_of(where: str, key: str, kind: str, value: Any) -> Any:
-    if key == "kind":
-        return value
-    if key in ("segment", "samples"):
-        least = 1 if key == "samples" else 0
-        if not isinstance(value, int) or isinstance(value, bool) or value < least:
-            raise _wrong(where, value, f"use a whole number from {least} up")
-        return value
-    number = numbers_of([value], 1)
-    backwards = key == "by_s" and kind == "clock_jump"
-    if number is None or (number[0] < 0 and not backwards):
-        raise _wrong(where, value, "use a number of seconds" + ("" if backwards else " ≥ 0"))
-    return number[0]
+class _OnLine(EmbeddedFault):
+    """What the line suffers from as long as it lasts."""
+
+    def begin(self, mock: Target) -> None:
+        mock.line.wrong[self.kind] += 1
+
+    def end(self, mock: Target) -> None:
+        mock.line.wrong[self.kind] -= 1
 
 
-class Schedule:
-    """Says before every sample what begins and what is over.
+class Cut(_OnLine, kind="cut", lasts=True):
+    """Nothing gets through in either direction, until the robot is connected anew."""
 
-    Args:
-        faults: What is to happen.
-        rate_hz: Samples per second of device time.
-    """
 
-    def __init__(self, faults: Sequence[Fault], rate_hz: float) -> None:
-        self._rate = rate_hz
-        self._refusals: list[Fault] = []
-        self._waiting: list[Fault] = []
-        self._dated: list[tuple[int, Fault]] = []
-        self._lasting: list[tuple[int, Fault]] = []
-        for fault in faults:
-            self.add(fault)
+class Freeze(_OnLine, kind="freeze", lasts=True):
+    """The newest row is repeated."""
 
-    def add(self, fault: Fault) -> None:
-        """One more; what is due already begins with the next sample."""
-        if fault.kind == "refuse":
-            self._refusals.append(fault)
-        elif fault.segment is not None:
-            self._waiting.append(fault)
-        elif fault.at_s is not None:
-            self._dated.append((self._count(fault.at_s), fault))
 
-    def clear(self) -> None:
-        """Forget what is to come, and when what lasts would end."""
-        self._refusals, self._waiting, self._dated, self._lasting = [], [], [], []
+class Silence(_OnLine, kind="silence", lasts=True):
+    """No rows get through."""
 
-    def began(self, segment: int, samples: int) -> None:
-        """Note that a segment starts after so many samples."""
-        mine = [fault for fault in self._waiting if fault.segment == segment]
-        self._waiting = [fault for fault in self._waiting if fault.segment != segment]
-        self._dated += [(samples + self._count(fault.after_s), fault) for fault in mine]
 
-    def refuses(self, segment: int, samples: int) -> bool:
-        """Whether to refuse this segment; each refusal is used up by one."""
-        for fault in self._refusals:
-            due = fault.at_s is not None and samples >= fault.at_s * self._rate - ROUNDING
-            if due or fault.segment == segment:
-                self._refusals.remove(fault)
-                return True
-        return False
+class Hang(_OnLine, kind="hang", lasts=True):
+    """Reading does not return."""
 
-    def turn(self, samples: int) -> tuple[list[Fault], list[Fault]]:
-        """What begins and what ends with the sample after so many."""
-        begun = [fault for first, fault in self._dated if first <= samples + 1]
-        over = [fault for end, fault in self._lasting if end <= samples + 1]
-        self._dated = [(first, f) for first, f in self._dated if first > samples + 1]
-        self._lasting = [(end, f) for end, f in self._lasting if end > samples + 1]
-        self._lasting += [
-            (samples + 1 + self._count(f.for_s), f) for f in begun if f.for_s < math.inf
-        ]
-        return begun, over
 
-    def unchanged(self, samples: int, most: int) -> int:
-        """How many of the next `most` samples pass before anything begins or ends."""
-        ahead = [first - 1 - samples for first, _ in (*self._dated, *self._lasting)]
-        return max(1, min([most, *ahead]))
+class Nan(_OnLine, kind="nan", lasts=True):
+    """Everything measured is not a number."""
 
-    def mend(self) -> None:
-        """End what lasts: there is a new connection."""
-        self._lasting = []
 
-    def _count(self, seconds: float) -> int:
-        """Samples in a time, rounded up, at least one."""
-        return max(1, math.ceil(seconds * self._rate - ROUNDING))
+class Lag(EmbeddedFault, kind="lag", lasts=True):
+    """Rows come late."""
+
+    by_s: float = seconds(REQUIRED)
+
+    def begin(self, mock: Target) -> None:
+        mock.line.lags_s.append(self.by_s)
+
+    def end(self, mock: Target) -> None:
+        mock.line.lags_s.remove(self.by_s)
+
+
+class ClockJump(EmbeddedFault, kind="clock_jump"):
+    """The device clock jumps, and goes on from there."""
+
+    by_s: float = seconds(REQUIRED, least=-LONGEST_S)
+
+    def begin(self, mock: Target) -> None:
+        mock.line.jump_s += self.by_s
+
+
+class Drop(EmbeddedFault, kind="drop"):
+    """The next samples are lost."""
+
+    samples: int = count()
+
+    def begin(self, mock: Target) -> None:
+        mock.line.to_drop += self.samples
+
+
+class Duplicate(EmbeddedFault, kind="duplicate"):
+    """The next samples come twice."""
+
+    samples: int = count()
+
+    def begin(self, mock: Target) -> None:
+        mock.line.to_repeat += self.samples
 
 
 MEASURED = ("q", "qd", "effort", "temperature")
@@ -189,53 +126,44 @@ MEASURED = ("q", "qd", "effort", "temperature")
 class Line:
     """Carries rows; a sound one carries them unchanged.
 
-    Faults last from `begin` to `end`. What they do is decided block by block, so whoever sends
-    must not let a fault begin or end inside a block.
+    What faults do is decided block by block: none may begin or end inside a block.
+
+    Attributes:
+        wrong: Kind → how many faults of it last.
+        lags_s: How late each of the present lags makes rows.
+        jump_s: How far the device clock has jumped.
+        to_drop, to_repeat: How many of the next samples are lost, or come twice.
     """
 
     def __init__(self) -> None:
-        self._lasting: list[Fault] = []
-        self._jump_s = 0.0
-        self._to_drop = self._to_repeat = 0
+        self.wrong: Counter[str] = Counter()
+        self.lags_s: list[float] = []
+        self.jump_s = 0.0
+        self.to_drop = self.to_repeat = 0
         self._newest: StructArray | None = None
         self._late: deque[tuple[float, StructArray]] = deque()
 
     @property
     def hanging(self) -> bool:
         """Whether reading never returns."""
-        return self._has("hang")
+        return bool(self.wrong["hang"])
 
     @property
     def cut(self) -> bool:
         """Whether nothing gets through in either direction."""
-        return self._has("cut")
+        return bool(self.wrong["cut"])
 
     @property
     def silent(self) -> bool:
         """Whether no rows get through."""
-        return self._has("silence") or self.cut or self.hanging
+        return bool(self.wrong["silence"]) or self.cut or self.hanging
 
-    def begin(self, fault: Fault) -> None:
-        """From the next block on, suffer from a fault."""
-        self._lasting.append(fault)
-        if fault.kind == "clock_jump":
-            self._jump_s += fault.by_s
-        elif fault.kind == "drop":
-            self._to_drop += fault.samples
-        elif fault.kind == "duplicate":
-            self._to_repeat += fault.samples
-
-    def end(self, fault: Fault) -> None:
-        """From the next block on, no longer suffer from it."""
-        if fault in self._lasting:
-            self._lasting.remove(fault)
-
-    def mend(self) -> list[Fault]:
-        """Be as new; a clock that jumped stays where it is. Returns what is over."""
-        over, self._lasting = self._lasting, []
+    def mend(self) -> None:
+        """Be as new; a clock that jumped stays where it is."""
+        self.wrong.clear()
+        self.lags_s.clear()
         self._late.clear()
-        self._to_drop = self._to_repeat = 0
-        return over
+        self.to_drop = self.to_repeat = 0
 
     def carry(self, rows: StructArray, now: float) -> StructArray:
         """What the host gets, perhaps nothing, when `rows` are sent at the true device time `now`.
@@ -249,26 +177,23 @@ class Line:
         rows = self._delayed(rows, now, arrival)
         return rows[:0] if self.silent else rows
 
-    def _has(self, kind: str) -> bool:
-        return any(fault.kind == kind for fault in self._lasting)
-
     def _spoilt(self, rows: StructArray) -> StructArray:
-        rows["device_time"] += self._jump_s
-        if self._has("nan"):
+        rows["device_time"] += self.jump_s
+        if self.wrong["nan"]:
             for field in MEASURED:
                 rows[field] = np.nan
         return rows
 
     def _lost_and_repeated(self, rows: StructArray) -> StructArray:
-        dropped = min(self._to_drop, len(rows))
-        self._to_drop -= dropped
+        dropped = min(self.to_drop, len(rows))
+        self.to_drop -= dropped
         rows = rows[dropped:]
-        repeated = min(self._to_repeat, len(rows))
-        self._to_repeat -= repeated
+        repeated = min(self.to_repeat, len(rows))
+        self.to_repeat -= repeated
         return np.repeat(rows, np.where(np.arange(len(rows)) < repeated, 2, 1))
 
     def _frozen(self, rows: StructArray) -> StructArray:
-        if not self._has("freeze"):
+        if not self.wrong["freeze"]:
             self._newest = rows[-1:].copy() if len(rows) else self._newest
             return rows
         if self._newest is None:
@@ -279,7 +204,7 @@ class Line:
         return rows
 
     def _delayed(self, rows: StructArray, now: float, arrival: float) -> StructArray:
-        lag_s = sum(fault.by_s for fault in self._lasting if fault.kind == "lag")
+        lag_s = sum(self.lags_s)
         if not lag_s and not self._late:
             return rows
         self._late.append((now, rows))

@@ -73,7 +73,7 @@ class Options:
         queue_s: Wall time of state rows that wait to be read; older ones are lost.
         watchdog_s: Wall time without a reader after which a moving arm is stopped; 0 for never.
         journal: File to which the robot appends what it was told and what it did.
-        faults: What goes wrong, and when; see `hil_mock_robot.embedded.faults.Fault`.
+        faults: What goes wrong, and when; see `hil_mock_robot.embedded.faults`.
     """
 
     seed: int = 0

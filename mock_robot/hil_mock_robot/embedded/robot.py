@@ -22,10 +22,13 @@ from hil.robot import Address, Capabilities, Identity, Limits, Segment
 from hil_mock_robot.embedded.arm import Arm
 from hil_mock_robot.embedded.clocks import Clock, VirtualClock, WallClock, pace_of
 from hil_mock_robot.embedded.controller import Controller
-from hil_mock_robot.embedded.faults import faults_of
+from hil_mock_robot.embedded.faults import EmbeddedFault
 from hil_mock_robot.embedded.options import options_of, require_short_block
 from hil_mock_robot.plant.truth import Truth
 from hil_mock_robot.server.journal import Journal, Moment
+
+OPTION = "mock option faults"
+"""What messages about faults call their list."""
 
 
 class MockRobot:
@@ -230,7 +233,7 @@ class MockRobot:
             self._controller.require_connection()
             self._clock.catch_up()
             when = {} if {"at_s", "segment"} & set(keys) else {"at_s": self._arm.device_time}
-            for each in faults_of([{"kind": kind, **when, **keys}]):
+            for each in EmbeddedFault.all_of([{"kind": kind, **when, **keys}], OPTION):
                 self._controller.strike(each)
         over = contextlib.ExitStack()
         over.callback(self.clear)
@@ -259,7 +262,7 @@ class MockRobot:
 
     def _build(self) -> tuple[Controller, Clock]:
         options, arm = self._options, self._arm
-        faults = faults_of(options.faults)
+        faults = EmbeddedFault.all_of(options.faults, OPTION)
         if options.clock == "virtual":
             controller = Controller(self._name, arm, faults, self._journal, 0.0)
             return controller, VirtualClock(controller, self._lock, options.block)

@@ -1,101 +1,168 @@
-"""Faults of mock servers: which there are, how they are asked for, and when they begin and end.
+"""Faults of a mock: each kind is one class, with its name, its keys and what it does.
 
-`FaultList` reads the faults of a YAML file (`--faults FILE`) or of one side-channel request;
-`Schedule` tells tick by tick of device time which fault begins and which is over.
+A mock has a base class of its own, and below it one class a kind:
+
+    class PlcFault(Fault[Target], counted=("motion",), example="{kind: silence, at_s: 2.0}"):
+        motion: int | None = count(None)
+
+    class Silence(PlcFault, kind="silence", lasts=True):
+        def begin(self, mock: Target) -> None:
+            mock.links.silent = True
+
+        def end(self, mock: Target) -> None:
+            mock.links.silent = False
+
+Keys are class attributes made by `number`, `count` and `choice`, which stand for their default. The
+base class reads the faults of a YAML file (`read`), of a list (`all_of`) or of one request
+(`one_of`). `Faults` lets them begin and end; `Schedule` tells when, tick by tick of device time.
 """
 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, ClassVar, Generic, Self, TypeVar
 
 from hil.core import SpecError, look_into
 
 LONGEST_S = 1e9
 """Three decades: what is later never happens, and ticks until then can still be counted."""
 
+ROUNDING = 1e-6
+REQUIRED: Any = object()
+"""Default of a key that a fault cannot do without."""
 
-@dataclass(frozen=True, slots=True)
-class Number:
-    """What a number in a fault may be.
+
+class Key:
+    """What the value of one key may be.
 
     Attributes:
-        least, most: Its range.
-        whole: Whether it is an integer.
+        default: Where nothing is said, or `REQUIRED`.
+        allowed: Whether a value fits.
         words: How to say so.
+        whole: Whether numbers stay integers.
     """
 
-    least: float
-    most: float
-    whole: bool
-    words: str
+    __slots__ = ("allowed", "default", "whole", "words")
+
+    def __init__(
+        self, default: Any, allowed: Callable[[Any], bool], words: str, *, whole: bool = True
+    ) -> None:
+        self.default, self.allowed, self.words, self.whole = default, allowed, words, whole
 
 
-SECONDS = Number(0, LONGEST_S, False, "a number of seconds from 0 to 1e9")
-COUNT = Number(1, math.inf, True, "a whole number from 1 up")
+def number(default: Any, least: float, most: float, words: str, *, whole: bool = False) -> Any:
+    """A key with a number from `least` to `most`."""
+    kinds = int if whole else (int, float)
 
-SHARED = {
-    "at_s": SECONDS,
-    "after_s": SECONDS,
-    "for_s": Number(0, LONGEST_S, False, "a number of seconds from 0 to 1e9; nothing for ever"),
-}
+    def allowed(value: Any) -> bool:
+        fits = isinstance(value, kinds) and not isinstance(value, bool)
+        return fits and least <= value <= most
 
-
-class Timed(Protocol):
-    """A fault that says when it begins and how long it lasts.
-
-    It also has an attribute for everything that its schedule counts, such as `motion`: None, or
-    which of them it waits for, from 1.
-    """
-
-    @property
-    def kind(self) -> str:
-        """What goes wrong."""
-
-    @property
-    def at_s(self) -> float | None:
-        """Device time since the start; None where it waits for something, or begins at once."""
-
-    @property
-    def after_s(self) -> float:
-        """Device time since what it waits for began."""
-
-    @property
-    def for_s(self) -> float:
-        """Device time it lasts; infinite until it is cleared."""
+    return Key(default, allowed, words, whole=whole)
 
 
-F = TypeVar("F", bound=Timed)
+def count(default: int | None = 1, least: int = 1) -> Any:
+    """A key with a whole number."""
+    return number(default, least, math.inf, f"a whole number from {least} up", whole=True)
 
 
-@dataclass(frozen=True)
-class FaultList(Generic[F]):
-    """The form of one mock's faults.
+def seconds(default: Any, least: float = 0.0, most: float = LONGEST_S) -> Any:
+    """A key with a time [s]."""
+    end = "1e9" if most == LONGEST_S else f"{most:g}"
+    start = "-1e9" if least == -LONGEST_S else f"{least:g}"
+    return number(default, least, most, f"a number of seconds from {start} to {end}")
+
+
+def choice(default: Any, allowed: Callable[[Any], bool], words: str) -> Any:
+    """A key with a value that is no number."""
+    return Key(default, allowed, words)
+
+
+def _lasting_s(value: Any) -> bool:
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    return number and (0 <= value <= LONGEST_S or value == math.inf)
+
+
+M = TypeVar("M", contravariant=True)
+"""What of a mock its faults act on."""
+
+
+class Fault(Generic[M]):
+    """One thing that goes wrong, once.
 
     Attributes:
-        make: Makes a fault from its kind and keys; keys that are missing have its own values.
-        kinds: What can go wrong, and which further keys each kind has.
-        counted: What faults may wait for, such as `motion`: a key with a number from 1.
-        numbers: Key → what its number may be.
-        words: Key → what its value may be, where it is no number, and how to say so.
-        required: Kind → the key that it cannot do without.
-        durations: How long kinds last when nothing is said; the others until they are cleared.
-        example: A fault that can be.
+        kind: What a file or a request calls it.
+        lasts: Whether it lasts and has an end; else it is a moment's matter.
+        keys: Key → what its value may be, with those of the base classes.
+        kinds: All kinds of the same mock.
+        counted: Keys by which a fault waits for something that is counted, such as `motion`.
+        example: A fault that can be, for messages.
+        at_s: Device time since the mock was started at which it begins.
+        after_s: Device time since what it waits for began.
+        for_s: Device time it lasts; infinite until it is cleared.
     """
 
-    make: Callable[..., F]
-    kinds: Mapping[str, tuple[str, ...]]
-    counted: tuple[str, ...]
-    numbers: Mapping[str, Number]
-    example: str
-    words: Mapping[str, tuple[Callable[[Any], bool], str]] = field(default_factory=dict)
-    required: Mapping[str, str] = field(default_factory=dict)
-    durations: Mapping[str, float] = field(default_factory=dict)
+    kind: ClassVar[str] = ""
+    lasts: ClassVar[bool] = False
+    keys: ClassVar[Mapping[str, Key]] = {}
+    kinds: ClassVar[dict[str, type[Fault[Any]]]] = {}
+    counted: ClassVar[tuple[str, ...]] = ()
+    example: ClassVar[str] = ""
 
-    def read(self, path: Path) -> tuple[F, ...]:
+    at_s: float | None = None
+    after_s: float = 0.0
+    for_s: float = math.inf
+
+    def __init_subclass__(
+        cls,
+        kind: str = "",
+        *,
+        lasts: bool = False,
+        counted: tuple[str, ...] | None = None,
+        example: str = "",
+    ) -> None:
+        super().__init_subclass__()
+        own = {name: value for name, value in vars(cls).items() if isinstance(value, Key)}
+        for name, key in own.items():
+            setattr(cls, name, key.default)
+        if counted is not None:
+            when = {"at_s": seconds(None), **own, "after_s": seconds(0.0)}
+            cls.kinds, cls.counted, cls.example, cls.keys = {}, counted, example, when
+            return
+        cls.keys = {**cls.keys, **own}
+        if kind:
+            cls.kind, cls.lasts, cls.kinds[kind] = kind, lasts, cls
+        if lasts:
+            words = "a number of seconds from 0 to 1e9; nothing for ever"
+            cls.keys = {**cls.keys, "for_s": Key(cls.for_s, _lasting_s, words, whole=False)}
+
+    def __init__(self, **given: Any) -> None:
+        vars(self).update(given)
+
+    def require(self, mock: M, where: str) -> None:
+        """Raise if this mock cannot have it.
+
+        Raises:
+            SpecError, CommandRefused: It has not what the fault would strike.
+        """
+
+    def begin(self, mock: M) -> None:
+        """Let it strike."""
+
+    def end(self, mock: M) -> None:
+        """It is over; called only where it `lasts`."""
+
+    @classmethod
+    def make(cls, kind: str, **given: Any) -> Self:
+        """A fault of a kind; keys that are missing have their defaults."""
+        made: Self = cls.kinds[kind](**given)  # type: ignore[assignment]
+        return made
+
+    @classmethod
+    def read(cls, path: Path) -> tuple[Self, ...]:
         """The faults of a YAML file: `faults:` and a list, or the list alone.
 
         Raises:
@@ -109,79 +176,68 @@ class FaultList(Generic[F]):
         if isinstance(given, Mapping) and set(given) == {"faults"}:
             given = given["faults"]
         try:
-            return self.all_of(given)
+            return cls.all_of(given)
         except SpecError as error:
             raise SpecError(f"{path}: {error.message}", hint=error.hint) from error
 
-    def all_of(self, given: Any) -> tuple[F, ...]:
-        """The faults of a list.
+    @classmethod
+    def all_of(cls, given: Any, name: str = "faults") -> tuple[Self, ...]:
+        """The faults of a list, each of which says when it begins.
 
         Raises:
             SpecError: One is unknown or cannot be; the message names it.
         """
         if isinstance(given, str | Mapping) or not isinstance(given, Sequence):
-            raise SpecError(f"faults is {given!r}", hint=f"give a list: [{self.example}]")
-        faults = tuple(self.one_of(f"faults[{i}]", entry) for i, entry in enumerate(given))
+            raise SpecError(f"{name} is {given!r}", hint=f"give a list: [{cls.example}]")
+        faults = tuple(cls.one_of(f"{name}[{i}]", entry) for i, entry in enumerate(given))
         for i, (entry, fault) in enumerate(zip(given, faults, strict=True)):
-            if fault.at_s is None and all(getattr(fault, what) is None for what in self.counted):
-                raise wrong(f"faults[{i}]", entry, f"say when: {_or(['at_s', *self.counted])}")
+            if all(getattr(fault, what) is None for what in ("at_s", *cls.counted)):
+                raise _wrong(f"{name}[{i}]", entry, f"say when: {_or(['at_s', *cls.counted])}")
         return faults
 
-    def one_of(self, where: str, given: Any) -> F:
+    @classmethod
+    def one_of(cls, where: str, given: Any) -> Self:
         """One fault; without a time it begins now.
 
         Raises:
             SpecError: It is unknown or cannot be.
         """
-        kind = given.get("kind") if isinstance(given, Mapping) else None
-        if not isinstance(kind, str) or kind not in self.kinds:
-            raise wrong(where, given, f"give kind: one of {', '.join(self.kinds)}")
-        where = f"{where} ({kind})"
-        keys = ("at_s", *self.counted, "after_s", *self.kinds[kind])
-        unknown = sorted(str(key) for key in set(given) - {"kind", *keys})
+        name = given.get("kind") if isinstance(given, Mapping) else None
+        if not isinstance(name, str) or name not in cls.kinds:
+            raise _wrong(where, given, f"give kind: one of {', '.join(cls.kinds)}")
+        kind, where = cls.kinds[name], f"{where} ({name})"
+        unknown = sorted(str(key) for key in set(given) - {"kind", *kind.keys})
         if unknown:
-            hint = f"this kind has {', '.join(keys)}"
+            hint = f"this kind has {', '.join(kind.keys)}"
             raise SpecError(f"{where} has no key {unknown[0]}", hint=hint)
-        self._require(where, kind, given)
-        named = [key for key in given if key != "kind"]
-        values = {key: self._value(f"{where}.{key}", key, given[key]) for key in named}
-        return self.make(kind, **{"for_s": self.durations.get(kind, math.inf), **values})
+        begins = ["at_s", *cls.counted]
+        if sum(key in given for key in begins) > 1:
+            raise _wrong(where, dict(given), f"give one of {_or(begins, 'and')}")
+        if "after_s" in given and not any(key in given for key in cls.counted):
+            hint = f"it counts from the start of a {_or(list(cls.counted))}"
+            raise _wrong(f"{where}.after_s", given["after_s"], hint)
+        values: dict[str, Any] = {}
+        for key, rule in kind.keys.items():
+            if key not in given:
+                if rule.default is REQUIRED:
+                    raise SpecError(f"{where} lacks {key}", hint="say by how many seconds")
+                continue
+            value = given[key]
+            if not rule.allowed(value):
+                raise _wrong(f"{where}.{key}", value, f"use {rule.words}")
+            values[key] = value if rule.whole else float(value)
+        return cls.make(name, **values)
 
-    def _require(self, where: str, kind: str, given: Mapping[str, Any]) -> None:
-        if sum(key in given for key in ("at_s", *self.counted)) > 1:
-            raise wrong(where, dict(given), f"give one of {_or(['at_s', *self.counted], 'and')}")
-        if "after_s" in given and not any(key in given for key in self.counted):
-            hint = f"it counts from the start of a {_or(list(self.counted))}"
-            raise wrong(f"{where}.after_s", given["after_s"], hint)
-        if kind in self.required and self.required[kind] not in given:
-            raise SpecError(f"{where} lacks {self.required[kind]}", hint="say by how many seconds")
 
-    def _value(self, where: str, key: str, value: Any) -> Any:
-        if key in self.words:
-            allowed, words = self.words[key]
-            if not allowed(value):
-                raise wrong(where, value, words)
-            return value
-        if key == "for_s" and value == math.inf:
-            return math.inf
-        number = self.numbers.get(key) or SHARED.get(key, COUNT)
-        kinds = int if number.whole else (int, float)
-        fits = isinstance(value, kinds) and not isinstance(value, bool)
-        if not fits or not number.least <= value <= number.most:
-            raise wrong(where, value, f"use {number.words}")
-        return value if number.whole else float(value)
+def _wrong(where: str, value: object, hint: str) -> SpecError:
+    return SpecError(f"{where} is {value!r}", hint=hint)
 
 
 def _or(names: Sequence[str], word: str = "or") -> str:
     return f"{', '.join(names[:-1])} {word} {names[-1]}" if len(names) > 1 else names[0]
 
 
-def wrong(where: str, value: object, hint: str) -> SpecError:
-    """What is said of a value that cannot be."""
-    return SpecError(f"{where} is {value!r}", hint=hint)
-
-
-ROUNDING = 1e-6
+F = TypeVar("F", bound=Fault[Any])
 
 
 class Schedule(Generic[F]):
@@ -190,20 +246,17 @@ class Schedule(Generic[F]):
     Args:
         faults: What is to happen.
         tick_s: Device time of a tick.
-        counted: What faults may wait for.
 
     Attributes:
         ticks: Since the start.
         lasting: What has begun and is not over.
     """
 
-    def __init__(
-        self, faults: Sequence[F], tick_s: float, counted: Sequence[str] = ("motion", "program")
-    ) -> None:
+    def __init__(self, faults: Sequence[F], tick_s: float) -> None:
         self._tick_s = tick_s
         self.ticks = 0
         self.lasting: list[F] = []
-        self._counts = dict.fromkeys(counted, 0)
+        self._counts: Counter[str] = Counter()
         self._dated: list[tuple[int, F]] = []
         self._waiting: list[F] = []
         self._ends: list[tuple[int, F]] = []
@@ -217,7 +270,7 @@ class Schedule(Generic[F]):
 
     def add(self, fault: F) -> bool:
         """One more; whether it begins at once because no time was given."""
-        if any(getattr(fault, what) is not None for what in self._counts):
+        if any(getattr(fault, what) is not None for what in fault.counted):
             self._waiting.append(fault)
         elif fault.at_s is not None:
             self._dated.append((self._count(fault.at_s), fault))
@@ -226,9 +279,14 @@ class Schedule(Generic[F]):
             return True
         return False
 
-    def began(self, what: str) -> None:
-        """Note that something counted, such as a `motion`, begins with this tick."""
-        self._counts[what] += 1
+    def began(self, what: str, number: int | None = None) -> None:
+        """Note that something counted, such as a `motion`, begins with this tick.
+
+        Args:
+            what: One of the faults' `counted`.
+            number: Which one; the next when None.
+        """
+        self._counts[what] = self._counts[what] + 1 if number is None else number
         mine = [each for each in self._waiting if getattr(each, what) == self._counts[what]]
         self._waiting = [each for each in self._waiting if each not in mine]
         self._dated += [(self.ticks + self._count(each.after_s), each) for each in mine]
@@ -246,19 +304,139 @@ class Schedule(Generic[F]):
             self._begin(fault, self.ticks)
         return begun, over
 
+    def unchanged(self, most: int) -> int:
+        """How many of the next `most` ticks, this one among them, pass before the next change."""
+        ahead = [tick - self.ticks for tick, _ in (*self._dated, *self._ends)]
+        return max(1, min([most, *ahead]))
+
     def clear(self, keep: str = "") -> list[F]:
         """Forget everything but what lasts and is of one kind; returns what was lasting else."""
         lasting = [fault for fault in self.lasting if fault.kind != keep]
-        self.lasting = [fault for fault in self.lasting if fault.kind == keep]
-        self._ends = [(end, fault) for end, fault in self._ends if fault.kind == keep]
         self._dated, self._waiting = [], []
+        self.mend(keep)
         return lasting
 
+    def mend(self, keep: str = "") -> None:
+        """Forget what lasts and is not of one kind; what is to come still comes."""
+        self.lasting = [fault for fault in self.lasting if fault.kind == keep]
+        self._ends = [(end, fault) for end, fault in self._ends if fault.kind == keep]
+
     def _begin(self, fault: F, tick: int) -> None:
-        self.lasting.append(fault)
-        if fault.for_s < math.inf:
-            self._ends.append((tick + self._count(fault.for_s), fault))
+        if fault.lasts:
+            self.lasting.append(fault)
+            if fault.for_s < math.inf:
+                self._ends.append((tick + self._count(fault.for_s), fault))
 
     def _count(self, seconds: float) -> int:
         """Ticks in a time, rounded up, at least one."""
         return max(1, math.ceil(seconds / self._tick_s - ROUNDING))
+
+
+T = TypeVar("T")
+
+
+class Faults(Generic[T]):
+    """Lets faults strike a mock, and end again.
+
+    Args:
+        mock: What of it they act on.
+        kinds: The base class of its faults.
+        tick_s: Device time of a tick.
+        planned: What is to happen.
+        stays: Kind of fault that `clear` leaves to its own end.
+        mend: Called by `clear` to forget what a moment's fault still owes.
+
+    Attributes:
+        mock: As given.
+        listeners: Told of each fault, and whether it begins.
+
+    Raises:
+        SpecError, CommandRefused: The mock has not what a fault would strike.
+    """
+
+    def __init__(
+        self,
+        mock: T,
+        kinds: type[Fault[T]],
+        tick_s: float,
+        planned: Sequence[Fault[T]] = (),
+        stays: str = "",
+        mend: Callable[[], object] = lambda: None,
+    ) -> None:
+        self.mock, self._kinds, self._stays, self._mend = mock, kinds, stays, mend
+        for i, fault in enumerate(planned):
+            fault.require(mock, f"faults[{i}] ({fault.kind})")
+        self._schedule: Schedule[Fault[T]] = Schedule(planned, tick_s)
+        self.listeners: list[Callable[[Fault[T], bool], None]] = []
+
+    @property
+    def lasting(self) -> list[Fault[T]]:
+        """What has begun and is not over; a moment's matter is not in it."""
+        return self._schedule.lasting
+
+    def add(self, given: object, where: str = "fault") -> Fault[T]:
+        """One more fault, such as from the side channel; without a time it begins at once.
+
+        Raises:
+            SpecError, CommandRefused: It is unknown or cannot be.
+        """
+        fault = self._kinds.one_of(where, given)
+        fault.require(self.mock, f"{where} ({fault.kind})")
+        if self._schedule.add(fault):
+            self._begin(fault)
+        return fault
+
+    def clear(self) -> None:
+        """End what lasts and forget what was to come."""
+        for fault in self._schedule.clear(self._stays):
+            self._end(fault)
+        self._mend()
+
+    def plan(self, fault: Fault[T]) -> None:
+        """One more fault that says when it begins."""
+        self._schedule.add(fault)
+
+    def mend(self) -> None:
+        """Forget what lasts, because what it struck is new; what is to come still comes."""
+        self._schedule.mend()
+
+    def began(self, what: str, number: int | None = None, at: int | None = None) -> None:
+        """Something that faults may wait for begins, such as a `motion`.
+
+        Args:
+            what: One of `Fault.counted`.
+            number: Which one; the next when None.
+            at: After how many ticks; now when None.
+        """
+        if at is not None:
+            self._schedule.ticks = at
+        self._schedule.began(what, number)
+
+    def passed(self, ticks: int = 1) -> None:
+        """Ticks of device time have passed."""
+        if self._schedule.idle:
+            self._schedule.ticks += ticks
+            return
+        begun, over = self._schedule.turn(ticks)
+        for fault in over:
+            self._end(fault)
+        for fault in begun:
+            self._begin(fault)
+
+    def reach(self, tick: int) -> None:
+        """Device time has come to this tick."""
+        self.passed(tick - self._schedule.ticks)
+
+    def unchanged(self, most: int) -> int:
+        """How many of the next `most` ticks, this one among them, pass before the next change."""
+        return self._schedule.unchanged(most)
+
+    def _begin(self, fault: Fault[T]) -> None:
+        for listener in self.listeners:
+            listener(fault, True)
+        fault.begin(self.mock)
+
+    def _end(self, fault: Fault[T]) -> None:
+        for listener in self.listeners:
+            listener(fault, False)
+        fault.end(self.mock)

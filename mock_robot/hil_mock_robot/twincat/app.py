@@ -6,15 +6,17 @@ import argparse
 import signal
 import zlib
 from collections.abc import Sequence
+from typing import Any
 
 from hil.arms import Payload
 from hil.core import SpecError
 from hil_mock_robot.plant.truth import draw_truth, published
+from hil_mock_robot.server.faults import Faults
 from hil_mock_robot.server.journal import Journal
 from hil_mock_robot.server.options import exit_code_of, factor_of, loopback_of
 from hil_mock_robot.twincat.ads import Links, PlcHandler
 from hil_mock_robot.twincat.arm import PlcArm
-from hil_mock_robot.twincat.faults import read_faults
+from hil_mock_robot.twincat.faults import PlcFault, Target
 from hil_mock_robot.twincat.loop import Loop
 from hil_mock_robot.twincat.memory import Memory
 from hil_mock_robot.twincat.options import (
@@ -26,7 +28,6 @@ from hil_mock_robot.twincat.options import (
 )
 from hil_mock_robot.twincat.program import PlcProgram
 from hil_mock_robot.twincat.side import SideFile
-from hil_mock_robot.twincat.troubles import Troubles
 from hil_mock_robot.twincat.witness import Witness
 
 CYCLE_S = 1.0 / RATE_HZ
@@ -78,11 +79,16 @@ def loop_of(given: argparse.Namespace, address: str, factor: float) -> Loop:
     program = PlcProgram(memory, arm)
     handler = PlcHandler(memory, given.ams_port)
     links = Links(address, handler)
-    faults = read_faults(given.faults) if given.faults else ()
-    troubles = Troubles(program, handler, links, faults, CYCLE_S)
-    program.listeners += [witness.happened, troubles.happened]
+    planned = PlcFault.read(given.faults) if given.faults else ()
+    faults = Faults(Target(program, handler, links), PlcFault, CYCLE_S, planned)
+
+    def count_motions(event: str, details: dict[str, Any]) -> None:
+        if event == "start" and details["by"] == "start":
+            faults.began("motion")
+
+    program.listeners += [witness.happened, count_motions]
     side = SideFile(given.side) if given.side else None
-    return Loop(program, links, troubles, witness, cycle_s=CYCLE_S, factor=factor, side=side)
+    return Loop(program, links, faults, witness, cycle_s=CYCLE_S, factor=factor, side=side)
 
 
 def arm_of(given: argparse.Namespace) -> PlcArm:

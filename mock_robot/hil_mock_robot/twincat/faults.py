@@ -1,59 +1,161 @@
-"""What is to go wrong with a mock PLC, and when: `--faults FILE`, and requests of the side file."""
+"""Faults of the mock PLC, one class each (docs/how-to/drive-twincat.md)."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
-from hil_mock_robot.server.faults import FaultList, Number
+from hil_mock_robot.plant.records import EMERGENCY_STOP, FAULTS
+from hil_mock_robot.server.faults import Fault, count, number
+from hil_mock_robot.twincat.ads import CONFIG, RUN, Links, PlcHandler
+from hil_mock_robot.twincat.program import PlcProgram
 
-KINDS: dict[str, tuple[str, ...]] = {
-    "drive_fault": ("for_s", "code"),
-    "emergency_stop": ("for_s",),
-    "freeze": ("for_s",),
-    "silence": ("for_s",),
-    "cut": ("for_s",),
-    "config": ("for_s",),
-    "restart": (),
-    "online_change": (),
-    "lose_stops": ("for_s",),
-    "spoil": ("for_s",),
-    "refuse": ("code",),
-}
-"""What can go wrong, and which further keys each kind has (docs/how-to/drive-twincat.md)."""
-
-COUNTED = ("motion",)
-OWN_DURATION = {"drive_fault": 0.0, "restart": 0.0, "refuse": 0.0, "cut": 0.0, "online_change": 0.0}
-"""How long these last when nothing is said; the others last until they are cleared."""
+DRIVE_FAULT = 0x8611
+"""CiA 402's following error, as good as any."""
 
 
-@dataclass(frozen=True, slots=True)
-class Fault:
-    """One thing that goes wrong, once.
+@dataclass(slots=True)
+class Target:
+    """What faults act on.
 
     Attributes:
-        kind: One of `KINDS`.
-        at_s: Time since the mock was started at which it begins, in device time.
-        motion: Which motion it follows, counted from 1.
-        after_s: Device time since that began.
-        for_s: Device time it lasts.
-        code: Of the fault, or the result that the next command is refused with.
+        program, handler, links: Parts of the mock.
+        stopped: How many faults let the PLC's task stand still, while ADS answers.
     """
 
-    kind: str
-    at_s: float | None = None
-    motion: int | None = None
-    after_s: float = 0.0
-    for_s: float = math.inf
-    code: int = 0
+    program: PlcProgram
+    handler: PlcHandler
+    links: Links
+    stopped: int = 0
 
 
-_LIST = FaultList(
-    Fault,
-    kinds=KINDS,
-    counted=COUNTED,
-    numbers={"code": Number(1, 65535, True, "a whole number from 1 to 65535")},
-    durations=OWN_DURATION,
-    example="{kind: silence, at_s: 2.0}",
-)
-read_faults, fault_of = _LIST.read, _LIST.one_of
+class PlcFault(Fault[Target], counted=("motion",), example="{kind: silence, at_s: 2.0}"):
+    """A fault of the PLC or of what it moves."""
+
+    motion: int | None = count(None)
+
+
+def _code(default: int) -> int:
+    value: int = number(default, 1, 65535, "a whole number from 1 to 65535", whole=True)
+    return value
+
+
+class _Stopping(PlcFault):
+    """The arm comes to rest on its brakes; nobody can reset that as long as the cause lasts."""
+
+    for_s: float = 0.0
+
+    def begin(self, mock: Target) -> None:
+        mock.program.fail(*self.told())
+        mock.program.commands.causes += 1
+
+    def end(self, mock: Target) -> None:
+        mock.program.commands.causes -= 1
+
+    def told(self) -> tuple[int, str]:
+        """Code and text of the fault."""
+        raise NotImplementedError
+
+
+class DriveFault(_Stopping, kind="drive_fault", lasts=True):
+    """A drive fails."""
+
+    code: int = _code(DRIVE_FAULT)
+
+    def told(self) -> tuple[int, str]:
+        return self.code, f"drive fault {self.code:#06x}"
+
+
+class EmergencyStop(_Stopping, kind="emergency_stop", lasts=True):
+    """The red button; until it is turned out again."""
+
+    for_s: float = float("inf")
+
+    def told(self) -> tuple[int, str]:
+        return EMERGENCY_STOP, FAULTS[EMERGENCY_STOP]
+
+
+class Freeze(PlcFault, kind="freeze", lasts=True):
+    """The PLC's task stands still, while ADS answers."""
+
+    def begin(self, mock: Target) -> None:
+        mock.stopped += 1
+
+    def end(self, mock: Target) -> None:
+        mock.stopped -= 1
+
+
+class Silence(PlcFault, kind="silence", lasts=True):
+    """Requests are left unanswered until it is over."""
+
+    def begin(self, mock: Target) -> None:
+        mock.links.silent = True
+
+    def end(self, mock: Target) -> None:
+        mock.links.silent = False
+
+
+class Cut(PlcFault, kind="cut", lasts=True):
+    """All connections are hung up on, and nobody is let in."""
+
+    for_s: float = 0.0
+
+    def begin(self, mock: Target) -> None:
+        mock.links.cut()
+
+    def end(self, mock: Target) -> None:
+        mock.links.listen()
+
+
+class Config(Freeze, kind="config", lasts=True):
+    """TwinCAT is in config mode: the runtime is not there."""
+
+    def begin(self, mock: Target) -> None:
+        super().begin(mock)
+        mock.handler.state = CONFIG
+
+    def end(self, mock: Target) -> None:
+        super().end(mock)
+        mock.handler.state = RUN
+
+
+class Restart(PlcFault, kind="restart"):
+    """The PLC's program begins anew, as after a reset."""
+
+    def begin(self, mock: Target) -> None:
+        mock.program.restart()
+
+
+class OnlineChange(PlcFault, kind="online_change"):
+    """The program is changed while it runs: every variable lies elsewhere."""
+
+    def begin(self, mock: Target) -> None:
+        mock.handler.memory.online_change()
+
+
+class LoseStops(PlcFault, kind="lose_stops", lasts=True):
+    """What is written to `nStop` is acknowledged and lost."""
+
+    def begin(self, mock: Target) -> None:
+        mock.handler.loses_stops = True
+
+    def end(self, mock: Target) -> None:
+        mock.handler.loses_stops = False
+
+
+class Spoil(PlcFault, kind="spoil", lasts=True):
+    """What is written arrives with a bit that is wrong, where it is long."""
+
+    def begin(self, mock: Target) -> None:
+        mock.handler.spoils = True
+
+    def end(self, mock: Target) -> None:
+        mock.handler.spoils = False
+
+
+class Refuse(PlcFault, kind="refuse"):
+    """The next command is refused with a result."""
+
+    code: int = _code(1)
+
+    def begin(self, mock: Target) -> None:
+        mock.program.commands.refuse = self.code

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import time
 
+from hil_mock_robot.server.faults import Faults
 from hil_mock_robot.twincat.ads import Links
+from hil_mock_robot.twincat.faults import Target
 from hil_mock_robot.twincat.program import PlcProgram
 from hil_mock_robot.twincat.side import SideFile
-from hil_mock_robot.twincat.troubles import Troubles
 from hil_mock_robot.twincat.witness import Witness
 
 ROUND_S = 0.004
@@ -24,7 +25,7 @@ class Loop:
     Args:
         program: The PLC's.
         links: Who talks to it.
-        troubles: What goes wrong.
+        faults: What goes wrong.
         witness: Writes down what happens.
         cycle_s: Device time of a cycle [s].
         factor: Device seconds per second of wall time.
@@ -35,14 +36,14 @@ class Loop:
         self,
         program: PlcProgram,
         links: Links,
-        troubles: Troubles,
+        faults: Faults[Target],
         witness: Witness,
         *,
         cycle_s: float,
         factor: float,
         side: SideFile | None = None,
     ) -> None:
-        self._program, self._links, self._troubles = program, links, troubles
+        self._program, self._links, self._faults = program, links, faults
         self._witness, self._side = witness, side
         self._cycles_per_s = factor / cycle_s
         self._cycle_s = cycle_s
@@ -81,9 +82,9 @@ class Loop:
         return True
 
     def _pass(self, cycles: int, wall_s: float) -> None:
-        self._troubles.turn(cycles)
+        self._faults.passed(cycles)
         if self._side is not None:
-            self._side.look(self._troubles)
-        if not self._troubles.frozen:
+            self._side.look(self._faults)
+        if not self._faults.mock.stopped:
             self._program.watch(wall_s)
             self._witness.passed(self._program.cycles(cycles))

@@ -199,7 +199,7 @@ class Commands:
 
     Attributes:
         refuse: A result to refuse the next command with; 0 to look at it.
-        cause_lasts: Whether the cause of a fault is still there: then nobody can take the arm.
+        causes: How many causes of a fault are still there: then nobody can take the arm.
         loaded: (N,) set-points that passed LOAD: the PLC's own copy. What is written to
             `aSetPoints` after they were checked is never played.
     """
@@ -209,7 +209,7 @@ class Commands:
         self._info, self._state = memory.view("stInfo")[0], memory.view("stState")[0]
         self._command, self._answer = memory.view("stCommand")[0], memory.view("stAnswer")[0]
         self._set_points = memory.view("aSetPoints")
-        self.refuse, self.cause_lasts = 0, False
+        self.refuse = self.causes = 0
         self.restart()
 
     def restart(self) -> None:
@@ -271,7 +271,7 @@ class Commands:
         if program.phase in (Phase.PLAYING, Phase.STOPPING):
             return Result.BUSY
         if program.phase == Phase.FAULT:
-            if self.cause_lasts or not self._arm.braked:
+            if self.causes or not self._arm.braked:
                 return Result.FAULT
             program.hold_where_it_stands()
         self._state["nSession"] = session

@@ -11,9 +11,9 @@ import sys
 from pathlib import Path
 
 from hil.core import SpecError
+from hil_mock_robot.server.faults import Faults
 from hil_mock_robot.server.options import factor_of
-from hil_mock_robot.twincat.faults import fault_of
-from hil_mock_robot.twincat.troubles import Troubles
+from hil_mock_robot.twincat.faults import Target
 
 
 class SideFile:
@@ -30,7 +30,7 @@ class SideFile:
         self._path, self._read = path, 0
         self.speed: float | None = None
 
-    def look(self, troubles: Troubles) -> None:
+    def look(self, faults: Faults[Target]) -> None:
         """Do what was asked for since the last look."""
         try:
             if self._path.stat().st_size == self._read:
@@ -42,16 +42,16 @@ class SideFile:
             return
         self._read += len(whole) + 1 if whole else 0
         for number, line in enumerate(whole.splitlines()):
-            self._do(f"{self._path}, line {number + 1} of the new ones", line, troubles)
+            self._do(f"{self._path}, line {number + 1} of the new ones", line, faults)
 
-    def _do(self, where: str, line: bytes, troubles: Troubles) -> None:
+    def _do(self, where: str, line: bytes, faults: Faults[Target]) -> None:
         try:
             request = json.loads(line)
             if request == {"clear": True}:
-                troubles.clear()
+                faults.clear()
             elif isinstance(request, dict) and set(request) == {"speed"}:
                 self.speed = factor_of(str(request["speed"]))
             else:
-                troubles.add(fault_of(where, request))
+                faults.add(request, where)
         except (ValueError, SpecError) as error:
             print(f"{where}: {error}", file=sys.stderr, flush=True)  # noqa: T201

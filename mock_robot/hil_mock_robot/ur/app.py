@@ -14,7 +14,7 @@ from hil_mock_robot.plant.truth import draw_truth
 from hil_mock_robot.server.journal import Journal
 from hil_mock_robot.server.options import exit_code_of, factor_of, loopback_of
 from hil_mock_robot.ur.body import Body
-from hil_mock_robot.ur.faults import read_faults
+from hil_mock_robot.ur.faults import UrFault, UrFaults
 from hil_mock_robot.ur.loop import FreeRun, LockStep, Loop, Pacer, RealTime, SlipWarning
 from hil_mock_robot.ur.machine import Machine
 from hil_mock_robot.ur.options import (
@@ -28,7 +28,6 @@ from hil_mock_robot.ur.rtde import RtdeService
 from hil_mock_robot.ur.services import services_of
 from hil_mock_robot.ur.side import SideService
 from hil_mock_robot.ur.telling import request_of, tell
-from hil_mock_robot.ur.troubles import Troubles
 from hil_mock_robot.ur.variables import Series, series_of
 from hil_mock_robot.ur.witness import Witness
 
@@ -79,20 +78,20 @@ def loop_of(given: argparse.Namespace, machine: Machine, pacer: Pacer, address: 
     """
     services = services_of(machine)
     owners = next((each.owners for each in services if isinstance(each, RtdeService)), None)
-    faults = read_faults(given.faults) if given.faults else ()
+    planned = UrFault.read(given.faults) if given.faults else ()
     machine.line.random.seed(given.seed)
-    troubles = Troubles(machine, faults, owners)
+    faults = UrFaults(machine, planned, owners)
     witness = None
     if given.journal:
         journal = Journal(str(given.journal), address)
         journal.open()
         witness = Witness(machine, journal)
-        troubles.listeners.append(witness.struck)
+        faults.listeners.append(witness.struck)
     if isinstance(pacer, RealTime):
         pacer.listeners.append(SlipWarning(_warn).slipped)
         pacer.listeners += [witness.slipped] if witness else []
-    side = SideService(given.side_port, machine, troubles, pacer) if given.side_port else None
-    return Loop(machine, services, pacer, address, troubles=troubles, witness=witness, side=side)
+    side = SideService(given.side_port, machine, faults, pacer) if given.side_port else None
+    return Loop(machine, services, pacer, address, faults=faults, witness=witness, side=side)
 
 
 def _warn(line: str) -> None:

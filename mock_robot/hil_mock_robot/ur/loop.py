@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Protocol
 from hil.core import PluginError
 from hil_mock_robot.server.loop import Mishaps
 from hil_mock_robot.ur.contracts import Service, Session
+from hil_mock_robot.ur.faults import UrFaults
 from hil_mock_robot.ur.machine import Machine
-from hil_mock_robot.ur.troubles import Troubles
 
 if TYPE_CHECKING:
     from hil_mock_robot.ur.side import SideService
@@ -54,7 +54,7 @@ class Loop:
         services: What listens.
         pacer: When ticks are due.
         address: Loopback address to listen on.
-        troubles: What is wrong, for those who want that.
+        faults: What goes wrong, for those who want that.
         witness: Writes down what happens.
         side: Not part of the controller: it is served whatever is wrong.
 
@@ -69,13 +69,13 @@ class Loop:
         pacer: Pacer,
         address: str,
         *,
-        troubles: Troubles | None = None,
+        faults: UrFaults | None = None,
         witness: Witness | None = None,
         side: SideService | None = None,
     ) -> None:
         self._machine, self._pacer, self._address = machine, pacer, address
         self._services, self._side = list(services), side
-        self._troubles, self._witness = troubles or Troubles(machine), witness
+        self._faults, self._witness = faults or UrFaults(machine), witness
         self._listening: dict[socket.socket, Service] = {}
         self._talks = Conversations(machine.mishaps, witness)
         self.sessions = self._talks.sessions
@@ -116,7 +116,7 @@ class Loop:
             self._tick()
 
     def _tick(self) -> None:
-        self._troubles.tick()
+        self._faults.tick()
         self._suffer()
         if not self._dark:
             self._machine.tick()
@@ -128,24 +128,24 @@ class Loop:
             self._side.ticked()
 
     def _suffer(self) -> None:
-        """Do to the ports what the troubles do to them."""
-        troubles = self._troubles
-        now = (troubles.unplugged, troubles.mute, troubles.dark)
+        """Do to the ports what the faults do to them."""
+        struck = self._faults.mock
+        now = (struck.unplugged, struck.mute, struck.dark)
         if now == self._suffered:
             return
         self._suffered = now
         for link, _ in self.sessions.values():
             link.blocked = self._unheard(link.port)
-        if troubles.dark and not self._dark:
+        if struck.dark and not self._dark:
             self._shut()
-        elif self._dark and not troubles.dark:
+        elif self._dark and not struck.dark:
             self._open(self._services)
-        self._dark = troubles.dark
+        self._dark = struck.dark
 
     def _unheard(self, port: int) -> bool:
         if self._side is not None and port == self._side.port:
             return False
-        return self._troubles.unplugged or port in self._troubles.mute
+        return self._faults.mock.unplugged or port in self._faults.mock.mute
 
     def _open(self, services: Iterable[Service]) -> None:
         # RTDE last of the controller's: whoever finds it open finds the others open, too.

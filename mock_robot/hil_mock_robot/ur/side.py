@@ -14,10 +14,10 @@ from hil.core import CommandRefused, HilError, SpecError
 from hil_mock_robot.server.side_channel import Request, payload_in, torque_in
 from hil_mock_robot.ur.contracts import Link
 from hil_mock_robot.ur.dashboard import pressed
+from hil_mock_robot.ur.faults import UrFaults
 from hil_mock_robot.ur.loop import LockStep, RealTime
 from hil_mock_robot.ur.machine import Machine
 from hil_mock_robot.ur.side_requests import factor_in, ticks_in, truth_of
-from hil_mock_robot.ur.troubles import Troubles
 
 LONGEST_LINE = 100_000
 MOST_WAITING = 1_000_000
@@ -34,13 +34,13 @@ class SideService:
     Args:
         port: TCP port.
         machine: The controller.
-        troubles: What is wrong with it.
+        faults: What is wrong with it.
         pacer: Of its time.
     """
 
-    def __init__(self, port: int, machine: Machine, troubles: Troubles, pacer: object) -> None:
+    def __init__(self, port: int, machine: Machine, faults: UrFaults, pacer: object) -> None:
         self.port = port
-        self.machine, self.troubles, self.pacer = machine, troubles, pacer
+        self.machine, self.faults, self.pacer = machine, faults, pacer
         self._sessions: list[SideSession] = []
 
     def accept(self, link: Link) -> SideSession:
@@ -156,10 +156,10 @@ class SideSession:
 
     def _fault(self, request: Request) -> Answer:
         given = {key: value for key, value in request.items() if key != "do"}
-        return {"fault": self._service.troubles.add(given).kind}
+        return {"fault": self._service.faults.add(given).kind}
 
     def _clear(self, request: Request) -> Answer:
-        self._service.troubles.clear()
+        self._service.faults.clear()
         return {}
 
     def _state(self, request: Request) -> Answer:
@@ -167,7 +167,7 @@ class SideSession:
         clock: Answer = {"behind_s": None, "pace": None}
         if isinstance(pacer, RealTime):
             clock = {"behind_s": round(pacer.behind_s, 6), "pace": round(pacer.pace, 3)}
-        faults = [fault.kind for fault in self._service.troubles.lasting]
+        faults = [fault.kind for fault in self._service.faults.lasting]
         return {**truth_of(self._service.machine), **clock, "faults": faults}
 
     def _step(self, request: Request) -> Answer | None:
@@ -195,7 +195,7 @@ class SideSession:
         return {}
 
     def _pendant(self, request: Request) -> Answer:
-        if self._service.troubles.dark:
+        if self._service.faults.mock.dark:
             raise CommandRefused("pendant: the controller is booting", hint="wait for its end")
         return pressed(self._service.machine, request)
 

@@ -18,7 +18,6 @@ from operator import itemgetter
 from typing import Any
 
 from hil_mock_robot.ur.contracts import Link
-from hil_mock_robot.ur.faults import Fault
 from hil_mock_robot.ur.variables import Values, Variable
 
 HEADER = struct.Struct(">HB")
@@ -177,10 +176,6 @@ class InputRecipe:
         ]
 
 
-LASTING = ("silence", "jitter", "late", "freeze")
-COUNTED = ("drop", "duplicate", "wrong_length", "garbage")
-
-
 class Line:
     """What all RTDE clients' connections have in common.
 
@@ -199,7 +194,7 @@ class Line:
         self.ticks = 0
         self.sound = True
         self.cut = False
-        self._lasting: list[Fault] = []
+        self._lasting: list[tuple[str, float]] = []
         self._ends: list[LineEnd] = []
 
     def over(self, link: Link) -> Link:
@@ -211,26 +206,27 @@ class Line:
             end.close()
         return end
 
-    def begin(self, fault: Fault) -> None:
-        """From the next package on, suffer from a fault."""
-        if fault.kind == "cut":
-            self.cut = fault.for_s > 0
-            for end in self._ends:
-                end.close()
-        elif fault.kind in LASTING:
-            self._lasting.append(fault)
-        else:
-            for end in self._ends:
-                end.owed[fault.kind] += fault.packages
-                end.by_bytes = fault.by_bytes
+    def hang_up(self, *, stays: bool) -> None:
+        """Hang up on everybody; as soon as they connect, too, while it `stays`."""
+        self.cut = stays
+        for end in self._ends:
+            end.close()
+
+    def suffer(self, kind: str, by_s: float = 0.0) -> None:
+        """From the next package on: `silence`, `freeze`, or `late` or `jitter` by a time [s]."""
+        self._lasting.append((kind, by_s))
         self._look()
 
-    def end(self, fault: Fault) -> None:
-        """No longer suffer from it."""
-        if fault.kind == "cut":
-            self.cut = False
-        if fault in self._lasting:
-            self._lasting.remove(fault)
+    def recover(self, kind: str, by_s: float = 0.0) -> None:
+        """No longer suffer from that."""
+        self._lasting.remove((kind, by_s))
+        self._look()
+
+    def owe(self, kind: str, packages: int, by_bytes: int) -> None:
+        """`drop`, `duplicate`, `garbage` or `wrong_length` of the next data packages."""
+        for end in self._ends:
+            end.owed[kind] += packages
+            end.by_bytes = by_bytes
         self._look()
 
     def mend(self) -> None:
@@ -249,16 +245,16 @@ class Line:
 
     def has(self, kind: str) -> bool:
         """Whether it suffers from this."""
-        return any(fault.kind == kind for fault in self._lasting)
+        return any(kind == each for each, _ in self._lasting)
 
     def delay(self) -> int:
         """Ticks for which the next package is held back."""
         ticks = 0
-        for fault in self._lasting:
-            most = round(fault.by_s / self._tick_s)
-            if fault.kind == "late":
+        for kind, by_s in self._lasting:
+            most = round(by_s / self._tick_s)
+            if kind == "late":
                 ticks += most
-            elif fault.kind == "jitter":
+            elif kind == "jitter":
                 ticks += self.random.randint(0, most)
         return ticks
 

@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from hil_mock_robot.server.faults import Fault
 from hil_mock_robot.server.journal import Journal, Moment, RestWatch
-from hil_mock_robot.ur.faults import Fault
+from hil_mock_robot.ur.faults import Target
 from hil_mock_robot.ur.loop import Slip, TcpLink
 from hil_mock_robot.ur.machine import Event, Machine
 
@@ -115,7 +116,7 @@ class Witness:
             self._command = 0
             self._rest.stopped(kind, self._moment())
 
-    def struck(self, fault: Fault, begins: bool) -> None:
+    def struck(self, fault: Fault[Target], begins: bool) -> None:
         """A fault on request begins or is over."""
         self._note("fault" if begins else "fault_over", kind=fault.kind)
 
