@@ -18,7 +18,7 @@ from typing import Any
 
 import can
 
-from hil_mock_robot.cia402.telling import tell
+from hil_mock_robot.cia402.mock import TELL
 from hil_mock_robot.server.journal import read_journal
 
 READY_WITHIN_S = 60.0
@@ -40,7 +40,7 @@ class MockCan:
 
     def tell(self, do: str, **more: Any) -> dict[str, Any]:
         """Ask the side channel; raises `CommandRefused` with what it says is wrong."""
-        return tell(self._side, {"do": do, **more})
+        return TELL.ask(self._side, {"do": do, **more})
 
     def state(self) -> dict[str, Any]:
         """The truth about the arm."""

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from hil_mock_robot.cia402.assembly import Mock
 from hil_mock_robot.cia402.bus import ignored
+from hil_mock_robot.cia402.mock import Mock
 from hil_mock_robot.cia402.station import Unit
 from hil_mock_robot.plant.truth import draw_truth
 

@@ -162,9 +162,9 @@ def parse_hil(arguments: list[str]) -> None:
 
 def parse_mock(name: str, arguments: list[str]) -> None:
     """What a mock's own command line takes; requests to one that runs have tests of their own."""
-    from hil_mock_robot.cia402.options import parser_of as can
-    from hil_mock_robot.twincat.options import parser_of as plc
-    from hil_mock_robot.ur.options import parser_of as ur
+    from hil_mock_robot.cia402.mock import parser_of as can
+    from hil_mock_robot.twincat.mock import parser_of as plc
+    from hil_mock_robot.ur.mock import parser_of as ur
 
     parsers = {"can": can, "plc": plc, "ur": ur}
     if name in parsers and arguments[:1] != ["tell"]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import subprocess
@@ -15,6 +14,7 @@ from typing import Any
 from ur_mock import _wait_until_ready, loopback
 
 from hil_mock_robot.server.journal import read_journal
+from hil_mock_robot.twincat.mock import TELL
 
 
 class MockPlc:
@@ -29,9 +29,12 @@ class MockPlc:
         self.address, self.process, self._folder = address, process, folder
 
     def side(self, **request: Any) -> None:
-        """Ask for a fault, or `clear=True`."""
-        with (self._folder / "side").open("a") as file:
-            file.write(json.dumps(request) + "\n")
+        """Ask for a fault, `clear=True`, or a `speed`."""
+        if "clear" in request:
+            request = {"do": "clear"}
+        elif "speed" in request:
+            request = {"do": "speed", "factor": request["speed"]}
+        TELL.ask(str(self._folder / "side"), {"do": "fault", **request})
 
     def journal(self, event: str = "") -> list[dict[str, Any]]:
         """The lines of its journal so far, of one event or all."""
@@ -51,7 +54,7 @@ class MockPlc:
 
 @contextmanager
 def mock_plc(folder: Path, *arguments: str, address: str | None = None) -> Iterator[MockPlc]:
-    """Start a mock, wait until it is ready, end it; its journal and side file are in a folder."""
+    """Start a mock, wait until it is ready, end it; its journal and side socket are in a folder."""
     address = address or loopback()
     command = [sys.executable, "-m", "hil_mock_robot", "plc", "--address", address]
     command += ["--side", str(folder / "side"), "--journal", str(folder / "journal"), *arguments]

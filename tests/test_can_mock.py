@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 import math
 import time
 from collections.abc import Iterator
@@ -18,7 +17,7 @@ from can_master import RPDO1, Master
 from hil.arms import load_arm
 from hil.arms.payload import Payload
 from hil.core.errors import SpecError
-from hil_mock_robot.cia402.hosted import HostedMock, mock_on_virtual_bus
+from hil_mock_robot.cia402.mock import HostedMock, mock_on_virtual_bus
 from hil_mock_robot.server.journal import read_journal
 
 PATIENT = 10.0
@@ -178,6 +177,6 @@ def test_requests_that_cannot_be_are_answered_in_words() -> None:
             with pytest.raises(SpecError, match="does not know"):
                 drives.ask(lambda it, request=request: it.requests.answer(request))
         answer = drives.ask(lambda it: it.requests.line(b"{no json"))
-        assert "no JSON" in json.loads(answer)["error"]
+        assert "no JSON" in answer["error"]
         with pytest.raises(SpecError, match="6 numbers"):
             drives.tell("push", torque=[1.0])

@@ -15,9 +15,9 @@ from typer.testing import CliRunner
 from hil.arms import load_arm
 from hil.cli.app import app as hil
 from hil.core.errors import PluginError, SpecError
-from hil_mock_robot.cia402.app import main
 from hil_mock_robot.cia402.bus import HubEnd, end_of, side_path
-from hil_mock_robot.cia402.options import mounted_in, nodes_of, parser_of, pose_of
+from hil_mock_robot.cia402.mock import main, nodes_of, parser_of
+from hil_mock_robot.server.options import mounted_of, pose_of
 
 pytestmark = pytest.mark.quick
 
@@ -52,19 +52,18 @@ def test_what_is_no_pose_of_the_arm_is_refused(degrees: Sequence[float]) -> None
 
 
 def test_a_pose_is_in_degrees() -> None:
-    assert pose_of((), ARM).tolist() == [0.0] * 6
     assert np.degrees(pose_of((10, 20, -30, 40, 50, 60), ARM)) == pytest.approx(
         [10, 20, -30, 40, 50, 60]
     )
 
 
 def test_what_is_mounted_has_a_mass() -> None:
-    assert mounted_in(None) is None
-    mounted = mounted_in([2.0, 0.0, 0.0, 0.05])
+    assert mounted_of(None) is None
+    mounted = mounted_of([2.0, 0.0, 0.0, 0.05])
     assert mounted is not None
     assert (mounted.mass, mounted.com) == (2.0, (0.0, 0.0, 0.05))
     with pytest.raises(SpecError):
-        mounted_in([-1.0, 0.0, 0.0, 0.0])
+        mounted_of([-1.0, 0.0, 0.0, 0.0])
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from can_master import Abort, Master
 from hil.core.errors import CommandRefused, SpecError
 from hil_mock_robot.cia402.bus import Line, refused_mapping, refused_object
 from hil_mock_robot.cia402.faults import CanFault
-from hil_mock_robot.cia402.hosted import HostedMock, mock_on_virtual_bus
+from hil_mock_robot.cia402.mock import HostedMock, mock_on_virtual_bus
 
 ENABLE, QUICK_STOP = 0x0F, 0x02
 FAULT = 0x08

@@ -18,10 +18,10 @@ from can_master import Master
 from can_mock import mock_can
 
 from hil.core.errors import PluginError, RobotConnectionError
-from hil_mock_robot.cia402.assembly import Mock
 from hil_mock_robot.cia402.bus import PythonCanEnd, ignored
-from hil_mock_robot.cia402.side import Requests, SideChannel
+from hil_mock_robot.cia402.mock import CanRequests, Mock
 from hil_mock_robot.plant.truth import draw_truth
+from hil_mock_robot.server.side_channel import SideChannel
 
 
 class NoBus:
@@ -121,7 +121,7 @@ def test_a_bus_of_python_can_that_is_gone_is_said() -> None:
 
 
 def test_a_side_channel_in_use_is_not_taken_over(drives: Mock, tmp_path: Path) -> None:
-    requests = Requests(drives.station, drives.faults)
+    requests = CanRequests(drives.station, drives.faults)
     first = SideChannel(tmp_path / "a.side", requests)
     with pytest.raises(PluginError, match="cannot listen"):
         SideChannel(tmp_path / "a.side", requests)
@@ -132,7 +132,7 @@ def test_a_side_channel_in_use_is_not_taken_over(drives: Mock, tmp_path: Path) -
 def test_a_client_of_the_side_channel_that_does_not_read_holds_up_nobody(
     drives: Mock, tmp_path: Path
 ) -> None:
-    side = SideChannel(tmp_path / "b.side", Requests(drives.station, drives.faults))
+    side = SideChannel(tmp_path / "b.side", CanRequests(drives.station, drives.faults))
     with socket.socket(socket.AF_UNIX) as mute, socket.socket(socket.AF_UNIX) as other:
         mute.connect(str(side.path))
         other.connect(str(side.path))
@@ -157,7 +157,7 @@ def test_a_client_of_the_side_channel_that_does_not_read_holds_up_nobody(
 def test_a_client_of_the_side_channel_gets_all_of_a_long_answer(
     drives: Mock, tmp_path: Path
 ) -> None:
-    side = SideChannel(tmp_path / "c.side", Requests(drives.station, drives.faults))
+    side = SideChannel(tmp_path / "c.side", CanRequests(drives.station, drives.faults))
     with socket.socket(socket.AF_UNIX) as line:
         line.connect(str(side.path))
         line.setblocking(False)

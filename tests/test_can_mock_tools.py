@@ -14,7 +14,7 @@ import pytest
 from canopen.profiles.p402 import BaseNode402
 
 from hil.arms import load_arm
-from hil_mock_robot.cia402.hosted import HostedMock, mock_on_virtual_bus
+from hil_mock_robot.cia402.mock import HostedMock, mock_on_virtual_bus
 
 pytestmark = pytest.mark.wire
 

@@ -16,8 +16,7 @@ from can_mock import mock_can
 
 from hil.arms import load_arm
 from hil.core.errors import CommandRefused, RobotConnectionError
-from hil_mock_robot.cia402.app import main
-from hil_mock_robot.cia402.telling import tell
+from hil_mock_robot.cia402.mock import TELL, main
 
 pytestmark = pytest.mark.wire
 
@@ -130,7 +129,7 @@ def test_the_side_channel_serves_shells_and_says_what_cannot_be(
 
 def test_nobody_answers_where_no_mock_runs(tmp_path: Path) -> None:
     with pytest.raises(RobotConnectionError, match="no mock drives answer"):
-        tell(str(tmp_path / "can.side"), {"do": "state"})
+        TELL.ask(str(tmp_path / "can.side"), {"do": "state"})
 
 
 def test_any_tool_of_python_can_sees_the_bus() -> None:

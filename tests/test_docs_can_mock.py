@@ -5,18 +5,16 @@ from __future__ import annotations
 import inspect
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from hil.testing.can_bus import CanBus
 from hil_mock_robot.cia402.faults import CanFault
-from hil_mock_robot.cia402.options import parser_of
-from hil_mock_robot.cia402.side import Requests
-from hil_mock_robot.cia402.telling import MAIN_KEYS
-from hil_mock_robot.server.side_channel import request_of
+from hil_mock_robot.cia402.mock import TELL, CanRequests, parser_of
 
 REFERENCE = Path(__file__).parents[1] / "docs" / "reference"
-SOURCES = Path(inspect.getfile(Requests)).parent
+SOURCES = Path(inspect.getfile(CanRequests)).parent
 FAULTS = (REFERENCE / "mock-can-faults.md").read_text("utf-8")
 MOCK = (REFERENCE / "mock-can.md").read_text("utf-8")
 
@@ -62,20 +60,20 @@ def test_the_file_is_one(tmp_path: Path) -> None:
 
 def test_every_request_of_the_side_channel_is_there() -> None:
     asked = re.findall(r'^\| `\{"do": "(\w+)"', section(FAULTS, "Side channel"), re.M)
-    assert asked == list(Requests(None, None)._answers)  # type: ignore[arg-type]
+    assert asked == list(CanRequests(SimpleNamespace(axes=()), None).answers)  # type: ignore[arg-type]
 
 
 def test_every_command_of_the_shell_is_a_request() -> None:
     lines = re.findall(r"^hil mock can tell (.*?)\s*(?:#.*)?$", FAULTS, re.M)
-    asked = [request_of(line.split()[0], line.split()[1:], MAIN_KEYS)["do"] for line in lines]
+    asked = [TELL.request(line.split()[0], line.split()[1:])["do"] for line in lines]
     assert asked == ["fault", "state", "clear", "mount"]
 
 
 def test_every_event_that_the_code_writes_is_in_the_table() -> None:
     told = set(re.findall(r"`(\w+)`", section(FAULTS, "Journal")))
-    names = ("witness.py", "station.py")
+    names = ("journal.py", "station.py")
     text = "".join((SOURCES / name).read_text("utf-8") for name in names)
-    written = set(re.findall(r'(?:_note|tell)\("(\w+)"', text))
+    written = set(re.findall(r'(?:note|tell)\("(\w+)"', text))
     written |= set(re.findall(r'_told\(self\.number, "(\w+)"', text))
     assert written > {"start", "sync", "emergency"}
     assert written <= told

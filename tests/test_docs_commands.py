@@ -28,7 +28,7 @@ NOT_RUN = {
     "docs/how-to/calibrate-drive-gains.md": {HARDWARE: 1},
     "docs/how-to/drive-a-ur.md": {SERVES: 1, HARDWARE: 5},
     "docs/how-to/drive-can-drives.md": {SERVES: 3, HARDWARE: 1},
-    "docs/how-to/drive-twincat.md": {SERVES: 2},
+    "docs/how-to/drive-twincat.md": {SERVES: 5},
     "docs/how-to/export-onnx-mlp.md": {LONG: 1},
     "docs/how-to/identify-a-load.md": {HARDWARE: 6},
     "docs/how-to/import-your-data.md": {HARDWARE: 3},

@@ -9,10 +9,10 @@ from ur_mock import loopback
 
 from hil_mock_robot.ur.dashboard import PRESSES
 from hil_mock_robot.ur.faults import UrFault, UrFaults
+from hil_mock_robot.ur.journal import SAFETY_FAULT, TOLD
 from hil_mock_robot.ur.loop import LockStep
+from hil_mock_robot.ur.mock import TELL
 from hil_mock_robot.ur.side import SideService
-from hil_mock_robot.ur.telling import request_of
-from hil_mock_robot.ur.witness import SAFETY_FAULT, TOLD
 
 REFERENCE = Path(__file__).parents[1] / "docs" / "reference"
 TEXT = (REFERENCE / "mock-ur-faults.md").read_text("utf-8")
@@ -55,7 +55,7 @@ def test_every_request_and_event_is_there():
     asked = set(re.findall(r'^\| `\{"do": "(\w+)"', section("Side channel"), re.M))
     machine = machine_of()
     session = SideService(1, machine, UrFaults(machine), LockStep()).accept(Wire())
-    assert asked == set(session._answers)
+    assert asked == set(session.requests.answers)
     journal = section("Journal")
     assert all(f"`{SAFETY_FAULT.get(event, event)}`" in journal for event in TOLD)
 
@@ -71,7 +71,7 @@ def test_every_button_is_there_and_every_command_of_the_shell_is_one():
     assert pressed <= set(PRESSES)
     for line in re.findall(r"^hil mock ur tell (.*?)\s*(?:#.*)?$", released, re.M):
         do, *more = line.split()
-        assert request_of(do, more)["do"] in ("fault", "state", "pendant", "clear")
+        assert TELL.request(do, more)["do"] in ("fault", "state", "pendant", "clear")
 
 
 def test_the_file_is_one(tmp_path):

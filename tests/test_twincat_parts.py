@@ -313,7 +313,7 @@ def test_one_plc_is_one_resource_however_it_is_written_and_whatever_arm_of_it():
 
 
 def test_a_mock_that_others_could_reach_is_refused(capsys):
-    from hil_mock_robot.twincat.app import main
+    from hil_mock_robot.twincat.mock import main
 
     assert main(["--address", "0.0.0.0"]) == 2
     assert "no loopback address" in capsys.readouterr().err

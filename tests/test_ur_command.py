@@ -14,14 +14,12 @@ from ur_mock import loopback, mock_ur
 
 from hil.core.errors import CommandRefused, PluginError, SpecError
 from hil_mock_robot.server.options import loopback_of
-from hil_mock_robot.ur.app import main
 from hil_mock_robot.ur.dashboard import PRESSES, pressed
 from hil_mock_robot.ur.faults import UrFaults
 from hil_mock_robot.ur.loop import LockStep, listen
+from hil_mock_robot.ur.mock import TELL, main, serial_of
 from hil_mock_robot.ur.modes import RobotMode, SafetyMode
-from hil_mock_robot.ur.options import serial_of
 from hil_mock_robot.ur.side import SideService
-from hil_mock_robot.ur.telling import request_of, tell
 
 EMERGENCY_WAY = ("release_emergency_stop", "power_on", "brake_release")
 FAULT_WAY = ("restart_safety", "power_on", "brake_release")
@@ -107,13 +105,13 @@ def test_an_address_in_use_leads_to_one_that_is_free():
     ],
 )
 def test_words_of_a_shell_are_a_request(words, request_):
-    assert request_of(words[0], words[1:]) == request_
+    assert TELL.request(words[0], words[1:]) == request_
 
 
 @pytest.mark.parametrize("words", [["state", "now"], ["fault", "a", "b"], ["clear", "=1"]])
 def test_words_that_are_none_are_refused(words):
     with pytest.raises(SpecError, match="no KEY=VALUE"):
-        request_of(words[0], words[1:])
+        TELL.request(words[0], words[1:])
 
 
 @pytest.mark.parametrize(
@@ -196,7 +194,7 @@ def test_a_stop_is_caused_and_released_from_a_shell():
         while (state := mock.side("state"))["robot_mode"] != "RUNNING":
             assert time.monotonic() < until, state
         assert (state["safety_mode"], state["faults"]) == ("NORMAL", [])
-        assert tell(mock.address, 30100, {"do": "state"})["safety_mode"] == "NORMAL"
+        assert TELL.ask((mock.address, 30100), {"do": "state"})["safety_mode"] == "NORMAL"
 
 
 def test_where_no_mock_runs_that_is_said():

@@ -8,8 +8,8 @@ from ur_machine import Wire, machine_of
 from hil_mock_robot.server.journal import Journal, read_journal
 from hil_mock_robot.ur import loop
 from hil_mock_robot.ur.faults import UrFaults
+from hil_mock_robot.ur.journal import Witness
 from hil_mock_robot.ur.side import SideService
-from hil_mock_robot.ur.witness import Witness
 
 pytestmark = pytest.mark.quick
 

@@ -5,9 +5,8 @@ Each number is made of its place among all outputs and of the tick; text message
 
 import signal
 
-from hil_mock_robot.ur.app import machine_of, pacer_of
 from hil_mock_robot.ur.loop import Loop
-from hil_mock_robot.ur.options import parser_of
+from hil_mock_robot.ur.mock import machine_of, pacer_of, parser_of
 from hil_mock_robot.ur.rtde import RtdeService
 from hil_mock_robot.ur.variables import WIRE, series_of
 from hil_mock_robot.ur.wire import Level

@@ -6,9 +6,9 @@ import sys
 from importlib import import_module
 
 MOCKS = {
-    "ur": "hil_mock_robot.ur.app",
-    "can": "hil_mock_robot.cia402.app",
-    "plc": "hil_mock_robot.twincat.app",
+    "ur": "hil_mock_robot.ur.mock",
+    "can": "hil_mock_robot.cia402.mock",
+    "plc": "hil_mock_robot.twincat.mock",
 }
 
 

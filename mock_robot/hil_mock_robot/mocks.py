@@ -55,7 +55,7 @@ class UrMock(DrawnMock):
         Args:
             arguments: As of `python -m hil_mock_robot ur`.
         """
-        from hil_mock_robot.ur.app import main
+        from hil_mock_robot.ur.mock import main
 
         return main(arguments, prog="hil mock ur", seed=0)
 
@@ -77,7 +77,7 @@ class CanMock(DrawnMock):
             PluginError: A package that it needs is not installed.
         """
         try:
-            from hil_mock_robot.cia402.app import main
+            from hil_mock_robot.cia402.mock import main
         except ModuleNotFoundError as error:
             raise PluginError(
                 f"the mock drives need the module {error.name}",
@@ -103,7 +103,7 @@ class PlcMock(DrawnMock):
             PluginError: A package that it needs is not installed.
         """
         try:
-            from hil_mock_robot.twincat.app import main
+            from hil_mock_robot.twincat.mock import main
         except ModuleNotFoundError as error:
             raise PluginError(
                 f"the mock PLC needs the module {error.name}", hint='pip install "hil[ads,mock]"'

@@ -1,8 +1,7 @@
-"""One thread for everything: frames are served between the drives' steps, nothing needs a lock."""
+"""The loop of the mock drives: frames are served between the drives' steps."""
 
 from __future__ import annotations
 
-import contextlib
 import socket
 import time
 from collections import deque
@@ -10,10 +9,11 @@ from collections.abc import Callable
 
 from hil_mock_robot.cia402.bus import BusEnd
 from hil_mock_robot.cia402.contracts import STEP_S
-from hil_mock_robot.cia402.side import SideChannel
+from hil_mock_robot.cia402.journal import Witness
 from hil_mock_robot.cia402.station import Station
-from hil_mock_robot.cia402.witness import Witness
+from hil_mock_robot.server import loop
 from hil_mock_robot.server.loop import Mishaps
+from hil_mock_robot.server.side_channel import SideChannel
 
 OWN_STEPS = 10
 """Steps that the drives' own timer makes at once."""
@@ -25,7 +25,7 @@ SLEPT_S = 0.05
 """A turn that comes so much later: the computer had other things to do, for the master too."""
 
 
-class Loop:
+class Loop(loop.Loop):
     """Serves the bus and lets the drives' time pass.
 
     Args:
@@ -45,49 +45,35 @@ class Loop:
         side: SideChannel | None = None,
         witness: Witness | None = None,
     ) -> None:
+        super().__init__()
         self._end, self._station = end, station
         self._side, self._witness = side, witness
         self.mishaps = Mishaps()
         if witness is not None:
             self.mishaps.listeners.append(witness.stumbled)
         self._asked: deque[Callable[[], None]] = deque()
-        self._ending = False
         self._side_due_s = 0.0
         self._turned_s = time.monotonic()
-        self._woken, self._waker = socket.socketpair()
-        for each in (self._woken, self._waker):
-            each.setblocking(False)
-        self._beside_bus: list[socket.socket] = [self._woken]
+        self._beside_bus: list[socket.socket] = [self.woken]
         end.heard = self._heard
 
     def run(self) -> None:
-        """Until `end`."""
+        """Power on, and serve until `end`."""
         self._station.boot()
-        try:
-            while not self._ending:
-                self.turn()
-        finally:
-            self.close()
-
-    def end(self) -> None:
-        """Let `run` return; may be called by a signal handler or another thread."""
-        self._ending = True
-        self._wake()
+        super().run()
 
     def ask(self, action: Callable[[], None]) -> None:
         """Do something between two turns; for other threads."""
         self._asked.append(action)
-        self._wake()
+        self.wake()
 
-    def close(self) -> None:
+    def leave(self) -> None:
         """Leave the bus."""
         if self._side is not None:
             self._side.close()
         self._end.close()
-        for each in (self._woken, self._waker):
-            each.close()
         if self._witness is not None:
-            self._witness.close()
+            self._witness.close(syncs=self._station.clock.syncs)
 
     def turn(self) -> None:
         """Hear what has come; let the drives' own timer go on where there is no SYNC."""
@@ -118,14 +104,9 @@ class Loop:
             self.mishaps.met(error, "the drives' own timer")
 
     def _beside(self) -> None:
-        with contextlib.suppress(BlockingIOError):
-            self._woken.recv(64)
+        self.woke()
         while self._asked:
             self._asked.popleft()()
         if self._side is not None:
             self._side.serve()
-            self._beside_bus = [self._woken, *self._side.sockets]
-
-    def _wake(self) -> None:
-        with contextlib.suppress(OSError):
-            self._waker.send(b"x")
+            self._beside_bus = [self.woken, *self._side.sockets]

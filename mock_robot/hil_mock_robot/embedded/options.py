@@ -17,10 +17,7 @@ from hil.arms import ArmDescription, Payload
 from hil.core import FloatArray, SpecError
 from hil_mock_robot.plant.records import MOUNTS
 from hil_mock_robot.plant.truth import Profile, Truth, draw_truth
-from hil_mock_robot.server.options import numbers_of
-
-UPRIGHT_DEG = {"ur": (0.0, -90.0, 0.0, -90.0, 0.0, 0.0)}
-"""Safe starting pose by the first two letters of the arm; all zeros for others."""
+from hil_mock_robot.server.options import numbers_of, upright_deg
 
 MOST_BLOCK_S = 1.0
 """Simulated time of a block at most: `stop` waits for the block that is being computed."""
@@ -176,8 +173,7 @@ def start_of(arm: ArmDescription, options: Options) -> FloatArray:
     Raises:
         SpecError: It is not a pose of this arm.
     """
-    upright = UPRIGHT_DEG.get(arm.name[:2], (0.0,) * arm.n_joints)
-    degrees = upright if options.start_q_deg is None else options.start_q_deg
+    degrees = upright_deg(arm) if options.start_q_deg is None else options.start_q_deg
     numbers = numbers_of(degrees, arm.n_joints)
     q = np.radians(np.array(numbers or [np.nan]))
     if not ((q >= arm.q_min) & (q <= arm.q_max)).all():

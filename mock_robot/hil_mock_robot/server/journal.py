@@ -11,6 +11,7 @@ import json
 import math
 import os
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from hil.core import DataError, FloatArray, RobotConnectionError
+from hil_mock_robot.server.faults import Fault
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,3 +198,49 @@ class RestWatch:
             wall_s=round(max(0.0, found.monotonic_s - self._stopped.monotonic_s), 6),
         )
         self._cause, self.resting, self._told = "", True, True
+
+
+class Witness(ABC):
+    """Writes the journal of a mock; a mock's own adds what its clients and its parts tell.
+
+    It does not know what a client believes to have done.
+
+    Args:
+        journal: Where it is written.
+    """
+
+    def __init__(self, journal: Journal) -> None:
+        self._journal, self._rest = journal, RestWatch(journal)
+
+    @abstractmethod
+    def moment(self) -> Moment:
+        """Now."""
+
+    def note(self, event: str, **details: Any) -> None:
+        """Write a line."""
+        self._journal.note(event, self.moment(), **details)
+
+    def struck(self, fault: Fault[Any], begins: bool) -> None:
+        """A fault on request begins or is over."""
+        self.note("fault" if begins else "fault_over", kind=fault.kind)
+
+    def stumbled(self, where: str, what: str) -> None:
+        """The mock itself has made a mistake, and goes on."""
+        self.note("mishap", where=where, what=what)
+
+    def close(self, **details: Any) -> None:
+        """The last line."""
+        self._rest.finish()
+        self.note("closed", **details)
+        self._journal.close()
+
+
+def journal_of(path: Path | str | None, robot: str) -> Journal:
+    """The journal of a mock, open; one without a file does nothing.
+
+    Raises:
+        RobotConnectionError: It cannot be written.
+    """
+    journal = Journal(str(path) if path else None, robot)
+    journal.open()
+    return journal

@@ -1,15 +1,71 @@
-"""Mistakes of the mock itself: they end one client or one program, not the whole mock.
+"""The loop of a mock server, and mistakes of the mock itself.
 
-In tests nothing is contained: there a mistake has to be seen.
+One thread does everything, so that nothing needs a lock: a `Loop` makes one turn after the other
+until a signal handler or another thread ends it. A mistake of the mock ends one client or one
+program, not the whole mock (`Mishaps`); in tests nothing is contained: there it has to be seen.
 """
 
 from __future__ import annotations
 
 import contextlib
+import socket
 import sys
 import traceback
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable
+
+
+class Loop(ABC):
+    """One thread for everything.
+
+    Attributes:
+        woken: A socket that is readable when somebody wants the loop to turn at once.
+    """
+
+    def __init__(self) -> None:
+        self._ending = False
+        self.woken, self._waker = socket.socketpair()
+        for each in (self.woken, self._waker):
+            each.setblocking(False)
+
+    @abstractmethod
+    def turn(self) -> None:
+        """Serve what has come, and let time pass that is due."""
+
+    @abstractmethod
+    def leave(self) -> None:
+        """Hang up on everybody, and write the last line of the journal."""
+
+    def run(self) -> None:
+        """Until `end`."""
+        try:
+            while not self._ending:
+                self.turn()
+        finally:
+            self.close()
+
+    def end(self) -> None:
+        """Let `run` return; may be called by a signal handler or another thread."""
+        self._ending = True
+        self.wake()
+
+    def close(self) -> None:
+        """Leave, without having run or after it."""
+        self.leave()
+        for each in (self.woken, self._waker):
+            each.close()
+
+    def wake(self) -> None:
+        """Let the loop turn at once."""
+        with contextlib.suppress(OSError):
+            self._waker.send(b"x")
+
+    def woke(self) -> None:
+        """Note that it has turned."""
+        with contextlib.suppress(BlockingIOError):
+            self.woken.recv(64)
+
 
 MOST_TOLD = 20
 """Of what comes again and again; the rest is only counted."""

@@ -1,37 +1,24 @@
-"""Values of options that several mocks take: numbers, loopback addresses, the speed of time."""
+"""Values of options that several mocks take: speeds, addresses, poses, loads.
+
+They come from a command line, from a station file or from a request of the side channel.
+"""
 
 from __future__ import annotations
 
-import argparse
 import ipaddress
-import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from hil.core import HilError, SpecError
+from hil.arms import ArmDescription, Payload
+from hil.core import FloatArray, SpecError
 
 LEAST_FACTOR, MOST_FACTOR = 0.01, 1000.0
+MOST_TORQUE_NM, MOST_KG, MOST_M = 10_000.0, 100.0, 2.0
 
-
-class WithDefaults(argparse.ArgumentDefaultsHelpFormatter):
-    """Defaults behind the options that have one worth telling."""
-
-    def _get_help_string(self, action: argparse.Action) -> str | None:
-        default = action.default
-        told = isinstance(default, str | int | float) and default is not False and default != ""
-        return super()._get_help_string(action) if told else action.help
-
-
-def exit_code_of(run: Callable[[], int]) -> int:
-    """Run a mock; what is wrong is said in words on standard error."""
-    try:
-        return run()
-    except HilError as error:
-        hint = f"\n  next: {error.hint}" if error.hint else ""
-        print(f"{type(error).__name__}: {error.message}{hint}", file=sys.stderr)  # noqa: T201
-        return int(error.exit_code)
+UPRIGHT_DEG = {"ur": (0.0, -90.0, 0.0, -90.0, 0.0, 0.0)}
+"""Safe starting pose by the first two letters of the arm; all zeros for others."""
 
 
 def factor_of(speed: str) -> float | None:
@@ -83,3 +70,38 @@ def numbers_of(value: Any, n: int) -> tuple[float, ...] | None:
     except OverflowError:  # a whole number beyond what a float holds
         return None
     return numbers if len(numbers) == n and np.isfinite(numbers).all() else None
+
+
+def upright_deg(arm: ArmDescription) -> tuple[float, ...]:
+    """(n,) a safe starting pose of the arm."""
+    return UPRIGHT_DEG.get(arm.name[:2], (0.0,) * arm.n_joints)
+
+
+def pose_of(degrees: Sequence[float], arm: ArmDescription) -> FloatArray:
+    """(n,) where the arm stands at first [rad].
+
+    Raises:
+        SpecError: It is no pose of the arm.
+    """
+    q: FloatArray = np.radians(np.asarray(degrees, dtype=float))
+    if q.shape != arm.q_min.shape or not ((arm.q_min <= q) & (q <= arm.q_max)).all():
+        low, high = np.degrees(arm.q_min).round(), np.degrees(arm.q_max).round()
+        raise SpecError(
+            f"--start-q-deg {list(degrees)} is no pose of the {arm.name}",
+            hint=f"give {arm.n_joints} angles inside its limits: {low} to {high}",
+        )
+    return q
+
+
+def mounted_of(given: Sequence[float] | None) -> Payload | None:
+    """What really hangs at the flange (`--mounted-kg`); None for what is declared.
+
+    Raises:
+        SpecError: It is no body.
+    """
+    if not given:
+        return None
+    mass, x, y, z = given
+    if not (mass >= 0 and np.isfinite(given).all()):
+        raise SpecError(f"--mounted-kg {list(given)}", hint="give a mass ≥ 0 and a centre [m]")
+    return Payload(mass, (x, y, z))

@@ -70,6 +70,21 @@ class PlcArm:
         self._simulation.settle(SETTLING_S)
 
     @property
+    def mounted(self) -> Payload:
+        """What really hangs at the flange."""
+        return self._mounted or self.declared
+
+    @property
+    def position(self) -> FloatArray:
+        """(n,) true joint position [rad]."""
+        return self._simulation.position
+
+    @property
+    def speed(self) -> FloatArray:
+        """(n,) true joint speed [rad/s]."""
+        return self._simulation.speed
+
+    @property
     def setpoint(self) -> FloatArray:
         """(3, n) what the servo follows now."""
         return self._simulation.setpoint
@@ -100,4 +115,13 @@ class PlcArm:
     def declare(self, payload: Payload) -> None:
         """Compute with another load, and mount it unless something else is said to hang there."""
         self.declared = payload
-        self._simulation.set_payloads(self._mounted or payload, payload)
+        self._simulation.set_payloads(self.mounted, payload)
+
+    def mount(self, payload: Payload | None) -> None:
+        """Hang something to the flange, whatever is declared; None for what is declared."""
+        self._mounted = payload
+        self._simulation.set_payloads(self.mounted, self.declared)
+
+    def push(self, torque: FloatArray) -> None:
+        """Let an external joint torque (n,) [N·m] act from now on; zeros end it."""
+        self._simulation.disturbances.push[:] = torque

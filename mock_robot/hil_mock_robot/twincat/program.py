@@ -56,12 +56,13 @@ class PlcProgram:
 
     Attributes:
         listeners: Called with what happens: journal, faults that wait for a motion.
+        arm: As given.
         commands: What it is told.
         phase: What the arm is doing.
     """
 
     def __init__(self, memory: Memory, arm: PlcArm) -> None:
-        self._memory, self._arm = memory, arm
+        self._memory, self.arm = memory, arm
         self.listeners: list[Listener] = []
         self._info, self._state = memory.view("stInfo")[0], memory.view("stState")[0]
         self._course: Course = Hold(arm.setpoint[0])
@@ -145,7 +146,7 @@ class PlcProgram:
 
     def hold_where_it_stands(self) -> None:
         """A fault is over: the set-point becomes where the joints are."""
-        self._arm.release()
+        self.arm.release()
         self._hold()
         self.phase = Phase.HOLDING
         self._state["nFault"], self._state["sFault"] = 0, b""
@@ -162,28 +163,28 @@ class PlcProgram:
             self.halt()
 
     def _pass(self, setpoints: FloatArray) -> FloatArray:
-        measured = self._arm.advance(setpoints)
+        measured = self.arm.advance(setpoints)
         self._ring.write(setpoints[: len(measured.q)], measured, self._segment, self.phase)
         if measured.fault:
             self.fail(measured.fault, FAULTS.get(measured.fault, "fault"))
-            self._arm.brake()
+            self.arm.brake()
             self._hold()
         return measured.true_qd
 
     def _come_to_rest(self) -> None:
         """What was commanded is over."""
         if self.phase == Phase.FAULT:
-            self._arm.brake()
+            self.arm.brake()
         else:
             self.phase = Phase.HOLDING
         self._hold()
 
     def _hold(self) -> None:
-        self._course = Hold(self._arm.setpoint[0])
+        self._course = Hold(self.arm.setpoint[0])
 
     def _ramp(self) -> None:
         deceleration, cycle_s = float(self._info["fStopRadS2"]), float(self._info["fCycleS"])
-        self._course = Ramp(self._arm.setpoint, deceleration, cycle_s)
+        self._course = Ramp(self.arm.setpoint, deceleration, cycle_s)
 
     def _tell(self) -> None:
         self._state["nPhase"], self._state["nHead"] = self.phase, self._ring.head

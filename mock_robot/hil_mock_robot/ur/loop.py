@@ -17,14 +17,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 from hil.core import PluginError
+from hil_mock_robot.server import loop
 from hil_mock_robot.server.loop import Mishaps
 from hil_mock_robot.ur.contracts import Service, Session
 from hil_mock_robot.ur.faults import UrFaults
 from hil_mock_robot.ur.machine import Machine
 
 if TYPE_CHECKING:
+    from hil_mock_robot.ur.journal import Witness
     from hil_mock_robot.ur.side import SideService
-    from hil_mock_robot.ur.witness import Witness
 
 DEAF_S = 10.0
 """Wall time a client that is sent everything may leave it unread; it is hung up on then."""
@@ -46,7 +47,7 @@ class Pacer(Protocol):
         """A tick was made."""
 
 
-class Loop:
+class Loop(loop.Loop):
     """Serves a machine's ports and lets its time pass.
 
     Args:
@@ -73,37 +74,23 @@ class Loop:
         witness: Witness | None = None,
         side: SideService | None = None,
     ) -> None:
+        super().__init__()
         self._machine, self._pacer, self._address = machine, pacer, address
         self._services, self._side = list(services), side
         self._faults, self._witness = faults or UrFaults(machine), witness
         self._listening: dict[socket.socket, Service] = {}
         self._talks = Conversations(machine.mishaps, witness)
         self.sessions = self._talks.sessions
-        self._ending = self._dark = False
+        self._dark = False
         self._suffered: tuple[bool, frozenset[int], bool] = (False, frozenset(), False)
-        self._woken, self._waker = socket.socketpair()
         self._open([*([side] if side is not None else []), *self._services])
 
-    def run(self) -> None:
-        """Until `end`."""
-        try:
-            while not self._ending:
-                self.turn()
-        finally:
-            self.close()
-
-    def end(self) -> None:
-        """Let `run` return; may be called by a signal handler."""
-        self._ending = True
-        with contextlib.suppress(OSError):
-            self._waker.send(b"x")
-
-    def close(self) -> None:
+    def leave(self) -> None:
         """Hang up on everybody."""
-        for each in [*self._listening, *self.sessions, self._woken, self._waker]:
+        for each in [*self._listening, *self.sessions]:
             each.close()
         if self._witness is not None:
-            self._witness.close()
+            self._witness.close(set_points=self._witness.sent)
 
     def turn(self) -> None:
         """Serve what has come, and tick when that is due."""
@@ -178,7 +165,7 @@ class Loop:
         heard = [s for s, (link, _) in self.sessions.items() if not link.blocked]
         ports = [s for s, service in self._listening.items() if not self._unheard(service.port)]
         waiting = [s for s in heard if self.sessions[s][0].pending]
-        everybody = [*ports, *heard, self._woken]
+        everybody = [*ports, *heard, self.woken]
         readable, writable, _ = select.select(everybody, waiting, [], max(0.0, wait_s))
         for each in writable:
             self.sessions[each][0].flush()

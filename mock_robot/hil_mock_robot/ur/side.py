@@ -1,31 +1,111 @@
-"""The side channel: what tests ask of the mock itself, past every interface of a controller.
+"""The side channel of the mock controller: a port of its own, past every interface.
 
-One JSON object a line, each answered by one line, in order; `{"error": …}` when it cannot be.
+`UrRequests` are what may be asked; `SideService` and `SideSession` are its port and one client. A
+`step` of a mock in lock-step is answered when its ticks were made.
 """
 
 from __future__ import annotations
 
 import json
 from collections import deque
-from collections.abc import Callable
-from typing import Any
 
-from hil.core import CommandRefused, HilError, SpecError
-from hil_mock_robot.server.side_channel import Request, payload_in, torque_in
+from hil.arms import Payload
+from hil.core import CommandRefused, FloatArray, SpecError
+from hil_mock_robot.server.side_channel import (
+    LONGEST_LINE,
+    Answer,
+    Request,
+    Requests,
+    factor_in,
+    listed,
+)
 from hil_mock_robot.ur.contracts import Link
 from hil_mock_robot.ur.dashboard import pressed
 from hil_mock_robot.ur.faults import UrFaults
 from hil_mock_robot.ur.loop import LockStep, RealTime
 from hil_mock_robot.ur.machine import Machine
-from hil_mock_robot.ur.side_requests import factor_in, ticks_in, truth_of
 
-LONGEST_LINE = 100_000
 MOST_WAITING = 1_000_000
 """Bytes of requests that wait for the end of a step; the client is hung up on beyond that."""
 LINE_BYTES = 100
 AXES = 6
+MOST_TICKS = 10_000_000
 
-Answer = dict[str, Any]
+
+class UrRequests(Requests):
+    """What one client may ask of the controller.
+
+    Args:
+        machine: The controller.
+        faults: What is wrong with it.
+        pacer: Of its time.
+
+    Attributes:
+        left: Ticks of the client's present step that were not made yet.
+    """
+
+    def __init__(self, machine: Machine, faults: UrFaults, pacer: object) -> None:
+        super().__init__(faults, AXES)
+        self._machine, self._pacer = machine, pacer
+        self.left = 0
+        self.answers |= {"step": self._step, "speed": self._speed, "pendant": self._pendant}
+
+    def push(self, torque: FloatArray) -> None:
+        """See `Requests`."""
+        self._machine.body.push(torque)
+
+    def mount(self, payload: Payload | None) -> None:
+        """See `Requests`."""
+        self._machine.body.mount(payload)
+
+    def truth(self) -> Answer:
+        """See `Requests`; `None` for what nobody knows."""
+        machine, pacer = self._machine, self._pacer
+        seen, modes = machine.reading, machine.modes
+        motion, program = machine.motion, machine.program
+        return {
+            "ticks": machine.ticks,
+            "device_time": machine.now_s,
+            "q": listed(seen.true_q),
+            "qd": listed(seen.true_qd),
+            "q_target": listed(machine.setpoint[0]),
+            "qd_target": listed(machine.setpoint[1]),
+            "celsius": listed(seen.temperature),
+            "robot_mode": modes.robot.name,
+            "safety_mode": modes.safety.name,
+            "runtime": machine.runtime.name,
+            "remote": modes.remote,
+            "stop_code": modes.stop_code,
+            "braked": machine.body.braked,
+            "program": None if program is None else program.name,
+            "motion": None if motion is None else type(motion).__name__,
+            "declared_kg": machine.body.declared.mass,
+            "mounted_kg": machine.body.mounted.mass,
+            "speed_fraction": machine.speed_fraction,
+            "behind_s": round(pacer.behind_s, 6) if isinstance(pacer, RealTime) else None,
+            "pace": round(pacer.pace, 3) if isinstance(pacer, RealTime) else None,
+        }
+
+    def _step(self, request: Request) -> None:
+        if not isinstance(self._pacer, LockStep):
+            hint = "start it with --speed lock-step"
+            raise CommandRefused("step: this mock's time passes by itself", hint=hint)
+        ticks = request.get("ticks", 1)
+        if not isinstance(ticks, int) or isinstance(ticks, bool) or not 1 <= ticks <= MOST_TICKS:
+            raise SpecError(f"step: ticks is {ticks!r}", hint=f"use 1 to {MOST_TICKS}")
+        self.left = ticks
+        self._pacer.allow(ticks)
+
+    def _speed(self, request: Request) -> Answer:
+        if not isinstance(self._pacer, RealTime):
+            raise CommandRefused("speed: this mock does not follow the clock", hint="use --speed 1")
+        self._pacer.change(factor_in(request))
+        return {}
+
+    def _pendant(self, request: Request) -> Answer:
+        if self.faults.mock.dark:
+            raise CommandRefused("pendant: the controller is booting", hint="wait for its end")
+        return pressed(self._machine, request)
 
 
 class SideService:
@@ -45,7 +125,8 @@ class SideService:
 
     def accept(self, link: Link) -> SideSession:
         """See `Service`."""
-        session = SideSession(self, link)
+        requests = UrRequests(self.machine, self.faults, self.pacer)
+        session = SideSession(self, link, requests)
         self._sessions.append(session)
         return session
 
@@ -53,12 +134,12 @@ class SideService:
         """It is gone, and its permits with it."""
         self._sessions.remove(session)
         if isinstance(self.pacer, LockStep):
-            self.pacer.permitted -= session.left
+            self.pacer.permitted -= session.requests.left
 
     def ticked(self) -> None:
         """A tick is over, and everybody was sent what was due."""
         for session in self._sessions:
-            if session.left:
+            if session.requests.left:
                 try:
                     session.stepped()
                 except Exception as error:
@@ -73,29 +154,16 @@ class SideSession:
     Args:
         service: What it is connected to.
         link: The connection.
-
-    Attributes:
-        left: Ticks of its present step that were not made yet.
+        requests: What it may ask.
     """
 
     lossless = False
 
-    def __init__(self, service: SideService, link: Link) -> None:
-        self._service, self._link = service, link
+    def __init__(self, service: SideService, link: Link, requests: UrRequests) -> None:
+        self._service, self._link, self.requests = service, link, requests
         self._rest = b""
         self._waiting: deque[bytes] = deque()
         self._waits = 0
-        self.left = 0
-        self._answers: dict[str, Callable[[Request], Answer | None]] = {
-            "fault": self._fault,
-            "clear": self._clear,
-            "state": self._state,
-            "step": self._step,
-            "speed": self._speed,
-            "push": self._push,
-            "mount": self._mount,
-            "pendant": self._pendant,
-        }
 
     def received(self, data: bytes) -> None:
         """See `Session`."""
@@ -123,81 +191,21 @@ class SideSession:
 
     def stepped(self) -> None:
         """One tick of the present step was made."""
-        self.left -= 1
-        if not self.left:
+        self.requests.left -= 1
+        if not self.requests.left:
             self._answer({"device_time": self._service.machine.now_s})
             self._go_on()
 
     def _go_on(self) -> None:
-        while self._waiting and not self.left and not self._link.closed:
+        while self._waiting and not self.requests.left and not self._link.closed:
             line = self._waiting.popleft()
             self._waits -= _size(line)
-            answer = self._done(line)
+            answer = self.requests.line(line)
             if answer is not None:
                 self._answer(answer)
 
-    def _done(self, line: bytes) -> Answer | None:
-        try:
-            request = json.loads(line)
-            do = request.get("do") if isinstance(request, dict) else None
-            if not isinstance(do, str) or do not in self._answers:
-                raise SpecError(
-                    f"the side channel does not know {line.decode('utf-8', 'replace')}",
-                    hint=f'send {{"do": …}} with one of {", ".join(self._answers)}',
-                )
-            return self._answers[do](request)
-        except HilError as error:
-            return {"error": error.message, "hint": error.hint}
-        except (ValueError, RecursionError) as error:
-            return {"error": f"no JSON: {error}", "hint": "send one JSON object a line"}
-
     def _answer(self, answer: Answer) -> None:
         self._link.send(json.dumps(answer).encode() + b"\n")
-
-    def _fault(self, request: Request) -> Answer:
-        given = {key: value for key, value in request.items() if key != "do"}
-        return {"fault": self._service.faults.add(given).kind}
-
-    def _clear(self, request: Request) -> Answer:
-        self._service.faults.clear()
-        return {}
-
-    def _state(self, request: Request) -> Answer:
-        pacer = self._service.pacer
-        clock: Answer = {"behind_s": None, "pace": None}
-        if isinstance(pacer, RealTime):
-            clock = {"behind_s": round(pacer.behind_s, 6), "pace": round(pacer.pace, 3)}
-        faults = [fault.kind for fault in self._service.faults.lasting]
-        return {**truth_of(self._service.machine), **clock, "faults": faults}
-
-    def _step(self, request: Request) -> Answer | None:
-        pacer = self._service.pacer
-        if not isinstance(pacer, LockStep):
-            hint = "start it with --speed lock-step"
-            raise CommandRefused("step: this mock's time passes by itself", hint=hint)
-        self.left = ticks_in(request)
-        pacer.allow(self.left)
-        return None
-
-    def _speed(self, request: Request) -> Answer:
-        pacer = self._service.pacer
-        if not isinstance(pacer, RealTime):
-            raise CommandRefused("speed: this mock does not follow the clock", hint="use --speed 1")
-        pacer.change(factor_in(request))
-        return {}
-
-    def _push(self, request: Request) -> Answer:
-        self._service.machine.body.push(torque_in(request, AXES))
-        return {}
-
-    def _mount(self, request: Request) -> Answer:
-        self._service.machine.body.mount(payload_in(request))
-        return {}
-
-    def _pendant(self, request: Request) -> Answer:
-        if self._service.faults.mock.dark:
-            raise CommandRefused("pendant: the controller is booting", hint="wait for its end")
-        return pressed(self._service.machine, request)
 
 
 def _size(line: bytes) -> int:

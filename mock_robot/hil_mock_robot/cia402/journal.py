@@ -1,7 +1,4 @@
-"""The mock drives' journal: what they were told, what went wrong, when the arm rested.
-
-An independent witness of a run: it does not know what the master believes to have done.
-"""
+"""The journal of the mock drives: what they were told, what went wrong, when the arm rested."""
 
 from __future__ import annotations
 
@@ -12,17 +9,18 @@ import numpy as np
 
 from hil_mock_robot.cia402 import keys
 from hil_mock_robot.cia402.contracts import STEP_S
-from hil_mock_robot.cia402.faults import CanFault, Target
+from hil_mock_robot.cia402.faults import CanFault
 from hil_mock_robot.cia402.power import FAULTED, Command, State, command_of
 from hil_mock_robot.cia402.station import MotionWatch, Station
+from hil_mock_robot.server import journal
 from hil_mock_robot.server.faults import Fault
-from hil_mock_robot.server.journal import Journal, Moment, RestWatch
+from hil_mock_robot.server.journal import Journal, Moment
 
 ENABLED = State.OPERATION_ENABLED
 HEXADECIMAL = ("emergency", "connection_lost")
 
 
-class Witness:
+class Witness(journal.Witness):
     """Writes the journal.
 
     Args:
@@ -32,18 +30,27 @@ class Witness:
     """
 
     def __init__(self, station: Station, motions: MotionWatch, journal: Journal) -> None:
-        self._station, self._motions, self._journal = station, motions, journal
-        self._rest = RestWatch(journal)
+        super().__init__(journal)
+        self._station, self._motions = station, motions
         self._states = [axis.drive.state for axis in station.axes]
         station.listeners.append(self.happened)
         motions.listeners.append(self.moved)
+
+    def moment(self) -> Moment:
+        """See `server.journal.Witness`."""
+        return Moment(time.monotonic(), self._station.clock.device_s, self._station.body.fastest)
+
+    def struck(self, fault: Fault[Any], begins: bool) -> None:
+        """See `server.journal.Witness`."""
+        axis = fault.axis if isinstance(fault, CanFault) else 0
+        self.note("fault" if begins else "fault_over", kind=fault.kind, axis=axis)
 
     def happened(self, event: str, details: dict[str, int | float | str]) -> None:
         """The drives tell something."""
         told: dict[str, Any] = dict(details)
         if event in HEXADECIMAL:
             told["code"] = f"{int(details['code']):04X}"
-        self._note(event, **told)
+        self.note(event, **told)
 
     def moved(self, begins: bool) -> None:
         """A motion begins or ends."""
@@ -51,19 +58,10 @@ class Witness:
         told = {"segment": marker.segment} if marker.known else {}
         if begins:
             self._rest.moved()
-            self._note("start", **told)
+            self.note("start", **told)
         else:
-            self._note("motion_over", **told)
-            self._rest.stopped("motion_over", self._moment())
-
-    def struck(self, fault: Fault[Target], begins: bool) -> None:
-        """A fault on request begins or is over."""
-        axis = fault.axis if isinstance(fault, CanFault) else 0
-        self._note("fault" if begins else "fault_over", kind=fault.kind, axis=axis)
-
-    def stumbled(self, where: str, what: str) -> None:
-        """The mock itself has made a mistake, and goes on."""
-        self._note("mishap", where=where, what=what)
+            self.note("motion_over", **told)
+            self._rest.stopped("motion_over", self.moment())
 
     def passed(self, steps: int) -> None:
         """Steps have passed: what did the drives do, and is the arm at rest?"""
@@ -76,12 +74,6 @@ class Witness:
             now = np.array([self._station.clock.device_s])
             self._rest.see(now, speeds, time.monotonic(), STEP_S)
 
-    def close(self) -> None:
-        """The last line."""
-        self._rest.finish()
-        self._note("closed", syncs=self._station.clock.syncs)
-        self._journal.close()
-
     def _changed(self, before: list[State], after: list[State]) -> None:
         changes: dict[tuple[str, str], list[int]] = {}
         for axis, old, new in zip(self._station.axes, before, after, strict=True):
@@ -89,16 +81,10 @@ class Witness:
                 changes.setdefault(told, []).append(axis.number + 1)
         for (event, by), axes in changes.items():
             if event == "stop":
-                self._note(event, by=by, axes=axes, moving=self._motions.moving)
-                self._rest.stopped(by, self._moment())
+                self.note(event, by=by, axes=axes, moving=self._motions.moving)
+                self._rest.stopped(by, self.moment())
             else:
-                self._note(event, axes=axes)
-
-    def _note(self, event: str, **details: Any) -> None:
-        self._journal.note(event, self._moment(), **details)
-
-    def _moment(self) -> Moment:
-        return Moment(time.monotonic(), self._station.clock.device_s, self._station.body.fastest)
+                self.note(event, axes=axes)
 
 
 def _told(old: State, new: State, controlword: int) -> tuple[str, str] | None:

@@ -1,7 +1,4 @@
-"""The mock controller's journal: what came over the wire, what went wrong, when the arm rested.
-
-An independent witness of a run: it does not know what the client believes to have done.
-"""
+"""The journal of the mock controller: what came over the wire, what went wrong, when it rested."""
 
 from __future__ import annotations
 
@@ -11,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from hil_mock_robot.server.faults import Fault
-from hil_mock_robot.server.journal import Journal, Moment, RestWatch
-from hil_mock_robot.ur.faults import Target
+from hil_mock_robot.server import journal
+from hil_mock_robot.server.journal import Journal, Moment
 from hil_mock_robot.ur.loop import Slip, TcpLink
 from hil_mock_robot.ur.machine import Event, Machine
 
@@ -46,17 +42,20 @@ STOPPING_EVENTS = ("program_stopped", "protective_stop", "emergency_stop", "watc
                    "safeguard_stop")  # fmt: skip
 
 
-class Witness:
+class Witness(journal.Witness):
     """Writes the journal.
 
     Args:
         machine: What it looks at.
         journal: Where it is written.
+
+    Attributes:
+        sent: How many motion commands and set-points came through RTDE.
     """
 
     def __init__(self, machine: Machine, journal: Journal) -> None:
-        self._machine, self._journal = machine, journal
-        self._rest = RestWatch(journal)
+        super().__init__(journal)
+        self._machine = machine
         self._command = 0
         self._scripts: dict[TcpLink, bytes] = {}
         self.sent = 0
@@ -65,14 +64,20 @@ class Witness:
         for name in COMMAND_INPUTS:
             machine.watches[name] = self.commanded
 
+    def moment(self) -> Moment:
+        """See `server.journal.Witness`."""
+        machine = self._machine
+        fastest = float(np.abs(machine.reading.true_qd).max())
+        return Moment(time.monotonic(), machine.now_s, fastest)
+
     def connected(self, link: TcpLink) -> None:
         """A client is there."""
-        self._note("connect", port=link.port, peer=link.peer)
+        self.note("connect", port=link.port, peer=link.peer)
 
     def disconnected(self, link: TcpLink) -> None:
         """It is gone."""
         self._scripts.pop(link, None)
-        self._note("disconnect", port=link.port, peer=link.peer)
+        self.note("disconnect", port=link.port, peer=link.peer)
 
     def commanded(self, number: int) -> None:
         """A client writes the command register; what it repeats is one line until it is stopped."""
@@ -89,7 +94,7 @@ class Witness:
         elif number in MOVES:
             self._started(name, via="rtde", playing=playing)
         else:
-            self._note("command", by=name, via="rtde", playing=playing)
+            self.note("command", by=name, via="rtde", playing=playing)
 
     def received(self, link: TcpLink, data: bytes) -> None:
         """Bytes came; what they mean is seen on the dashboard and the ports for scripts."""
@@ -109,24 +114,16 @@ class Witness:
             return
         details = {"name": event.name, "text": event.text, "code": event.code}
         kind = SAFETY_FAULT.get(event.kind, event.kind)
-        self._note(kind, **{key: value for key, value in details.items() if value})
+        self.note(kind, **{key: value for key, value in details.items() if value})
         if event.kind == "power_cut":
-            self._rest.locked(event.kind, self._moment())
+            self._rest.locked(event.kind, self.moment())
         elif event.kind in STOPPING_EVENTS:
             self._command = 0
-            self._rest.stopped(kind, self._moment())
-
-    def struck(self, fault: Fault[Target], begins: bool) -> None:
-        """A fault on request begins or is over."""
-        self._note("fault" if begins else "fault_over", kind=fault.kind)
+            self._rest.stopped(kind, self.moment())
 
     def slipped(self, slip: Slip) -> None:
         """Note that the computer could not keep the pace of the controller's clock."""
-        self._note("slip", behind_s=round(slip.behind_s, 6), pace=round(slip.pace, 3))
-
-    def stumbled(self, where: str, what: str) -> None:
-        """The mock itself has made a mistake, and goes on."""
-        self._note("mishap", where=where, what=what)
+        self.note("slip", behind_s=round(slip.behind_s, 6), pace=round(slip.pace, 3))
 
     def ticked(self) -> None:
         """A tick is over: is the arm at rest?"""
@@ -136,46 +133,32 @@ class Witness:
             now = np.array([machine.now_s])
             self._rest.see(now, speed, time.monotonic(), 0.0)
 
-    def close(self) -> None:
-        """The last line."""
-        self._rest.finish()
-        self._note("closed", set_points=self.sent)
-        self._journal.close()
-
     def _dashboard(self, line: str) -> None:
         if line in DASHBOARD_STOPS:
             self._stopped(line, via="dashboard")
         elif line:
-            self._note("dashboard", by=line)
+            self.note("dashboard", by=line)
 
     def _script(self, text: bytes) -> None:
         found = NAMED.search(text)
         name = found[1].decode() if found else "line"
         told: dict[str, Any] = {"via": "script", "bytes": len(text)}
         if name.encode() == CONTROL:
-            self._note("program", by=name, **told)
+            self.note("program", by=name, **told)
         elif MOVING.search(text):
             self._started(name, **told)
         elif STOPPING.search(text):
             self._stopped(name, **told)
         else:
-            self._note("program", by=name, **told)
+            self.note("program", by=name, **told)
 
     def _started(self, by: str, **details: Any) -> None:
         self._rest.moved()
-        self._note("start", by=by, **details)
+        self.note("start", by=by, **details)
 
     def _stopped(self, by: str, **details: Any) -> None:
         # What is streamed goes on in the register: the next set-point is a command again.
         if details.get("via") != "rtde":
             self._command = 0
-        self._note("stop", by=by, moving=self._machine.motion is not None, **details)
-        self._rest.stopped(by, self._moment())
-
-    def _note(self, event: str, **details: Any) -> None:
-        self._journal.note(event, self._moment(), **details)
-
-    def _moment(self) -> Moment:
-        machine = self._machine
-        fastest = float(np.abs(machine.reading.true_qd).max())
-        return Moment(time.monotonic(), machine.now_s, fastest)
+        self.note("stop", by=by, moving=self._machine.motion is not None, **details)
+        self._rest.stopped(by, self.moment())

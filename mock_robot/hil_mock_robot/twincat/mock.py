@@ -1,0 +1,317 @@
+"""The mock PLC: a TwinCAT PLC with the contract of `hil`, over ADS, and a simulated arm behind it.
+
+`main` runs it as a process (`hil mock plc`), `loop_of` puts the parts together: memory and program
+of the PLC, the ADS server, faults, side channel and journal. Device time passes with the wall
+clock, or by a factor faster.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+import zlib
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from hil.arms import Payload, arm_names
+from hil.core import FloatArray, SpecError
+from hil_mock_robot.plant.truth import published
+from hil_mock_robot.server import journal, loop
+from hil_mock_robot.server.cli import Parser, exit_code_of, serve, show, truth_of
+from hil_mock_robot.server.faults import Faults
+from hil_mock_robot.server.journal import Journal, Moment, journal_of
+from hil_mock_robot.server.options import (
+    factor_of,
+    loopback_of,
+    mounted_of,
+    pose_of,
+    upright_deg,
+)
+from hil_mock_robot.server.side_channel import (
+    NO_SIDE,
+    Answer,
+    Request,
+    Requests,
+    SideChannel,
+    Tell,
+    factor_in,
+    listed,
+    usual_path,
+)
+from hil_mock_robot.twincat.ads import Links, PlcHandler
+from hil_mock_robot.twincat.arm import PlcArm
+from hil_mock_robot.twincat.faults import PlcFault, Target
+from hil_mock_robot.twincat.memory import Memory
+from hil_mock_robot.twincat.program import PlcProgram
+
+RATE_HZ = 1000.0
+CYCLE_S = 1.0 / RATE_HZ
+WATCHDOG_S, STOP_RAD_S2 = 0.3, 8.0
+TEMPERATURES, EFFORT_TARGETS = 1, 2
+"""Bits of `nOffers`."""
+
+ROUND_S = 0.004
+"""Wall time between two looks at the clock; cycles pass in blocks of so much [s]."""
+
+LATEST_S = 0.05
+"""Wall time the mock may be late before that is given up, not caught up; and the most that counts
+as silence of the PC in one round: a mock without processor must not blame its client [s]."""
+
+STOPPING = ("stop", "watchdog", "fault", "release")
+
+TELL = Tell(
+    command="hil mock plc",
+    who="mock PLC answers",
+    requests="fault, clear, state, push, mount or speed",
+    examples="""\
+tell fault emergency_stop for_s=1     something goes wrong: see docs/how-to/drive-twincat.md
+tell clear                            what lasts is over
+tell state                            where the arm is, what the PLC does, faults
+tell speed 10                         device time passes ten times as fast
+""",
+    places={
+        "--address": (str, "of the mock (default: 127.0.0.1)"),
+        "--side": (str, "of the mock, where it has one of its own"),
+    },
+    elsewhere="is it another --address or --side?",
+    main_keys={"fault": "kind", "speed": "factor"},
+)
+
+
+def main(arguments: Sequence[str] | None = None, *, prog: str = "", seed: int = 1) -> int:
+    """Run until SIGINT, SIGTERM or SIGHUP; returns the exit code.
+
+    Args:
+        arguments: Of the command line, by default this process's.
+        prog: What it was started as, for its help.
+        seed: Which individual when nobody says.
+    """
+    given = parser_of(prog, seed).parse_args(arguments)
+    return exit_code_of(lambda: _tell(given) if given.command == "tell" else _run(given))
+
+
+def parser_of(prog: str = "", seed: int = 1) -> Parser:
+    """The command line of `hil mock plc` and `python -m hil_mock_robot plc`."""
+    parser = Parser(
+        "plc",
+        prog,
+        "A PLC that plays trajectories, by ADS on a loopback port, with a simulated arm behind it.",
+    )
+    add = parser.add_argument
+    where = "loopback address; the port is 48898, so a second mock takes another one"
+    add("--address", default="127.0.0.1", help=where)
+    add("--ams-port", type=int, default=851, help="of the PLC's runtime")
+    add("--speed", default="1", help="device seconds per second, 0.01 to 1000")
+    add("--effort", default="torque", choices=("torque", "current"), help="what drives tell")
+    add("--serial", default="", help="of the PLC (default: made of model and seed)")
+    add("--watchdog-s", type=float, default=WATCHDOG_S, help="silence that stops the arm, wall")
+    add("--contract", type=int, help="version that it says to have (default: the true one)")
+    add("--without", action="append", default=[], metavar="NAME", help="a variable it lacks")
+    parser.add_arm("lab6", arm_names(), seed)
+    side = f"socket of the side channel for tests, `{NO_SIDE}` for none; by the address without"
+    add("--side", default="", metavar="PATH", help=side)
+    parser.add_records()
+    TELL.add_to(parser)
+    return parser
+
+
+def _side_path(given: argparse.Namespace) -> str:
+    return given.side or usual_path(f"plc-{given.address}")
+
+
+def _tell(given: argparse.Namespace) -> int:
+    return show(TELL.ask(_side_path(given), TELL.request(given.request, given.more)))
+
+
+def _run(given: argparse.Namespace) -> int:
+    address, factor = loopback_of(given.address), factor_of(given.speed)
+    if factor is None:
+        raise SpecError(f"--speed {given.speed} is for the UR mock", hint="give a number")
+    where = f"{address}, AMS {address}.1.1:{given.ams_port}"
+    loop = loop_of(given, address, factor)
+    return serve(loop, f"{given.model} behind a PLC on {where}, ×{factor:g}")
+
+
+def loop_of(given: argparse.Namespace, address: str, factor: float) -> Loop:
+    """The PLC on its port, with what goes wrong and who writes it down.
+
+    Raises:
+        SpecError: The file of faults cannot be used, or the pose is none.
+        RobotConnectionError: The journal cannot be written.
+        PluginError: The port is taken.
+    """
+    witness = Witness(journal_of(given.journal, address))
+    memory, arm = Memory(given.without), arm_of(given)
+    fill_info(memory, arm, given)
+    program = PlcProgram(memory, arm)
+    handler = PlcHandler(memory, given.ams_port)
+    links = Links(address, handler)
+    planned = PlcFault.read(given.faults) if given.faults else ()
+    faults = Faults(Target(program, handler, links), PlcFault, CYCLE_S, planned)
+
+    def count_motions(event: str, details: dict[str, Any]) -> None:
+        if event == "start" and details["by"] == "start":
+            faults.began("motion")
+
+    program.listeners += [witness.happened, count_motions]
+    return Loop(program, links, faults, witness, factor=factor, side=_side_path(given))
+
+
+def arm_of(given: argparse.Namespace) -> PlcArm:
+    """The arm as the command line describes it."""
+    maker = published(given.model)
+    q = pose_of(given.start_q_deg or upright_deg(maker), maker)
+    mounted = mounted_of(given.mounted_kg)
+    return PlcArm(truth_of(given), RATE_HZ, q, torque=given.effort == "torque", mounted=mounted)
+
+
+def fill_info(memory: Memory, arm: PlcArm, given: argparse.Namespace) -> None:
+    """What the PLC says about itself."""
+    info, maker = memory.view("stInfo")[0], arm.published
+    info["fCycleS"], info["fWatchdogS"] = CYCLE_S, given.watchdog_s
+    info["fStopRadS2"], info["fPayloadMax"] = STOP_RAD_S2, maker.payload_max_kg
+    info["aQMin"], info["aQMax"] = maker.q_min, maker.q_max
+    info["aQdMax"], info["aQddMax"] = maker.qd_max, maker.qdd_max
+    if given.contract is not None:
+        memory.view("nContract")[0] = given.contract
+    info["nAxes"] = maker.n_joints
+    info["nRingRows"] = len(memory.view("aRing"))
+    info["nSetPoints"] = len(memory.view("aSetPoints"))
+    info["nEffort"] = 1 if given.effort == "torque" else 2
+    info["nOffers"] = TEMPERATURES | EFFORT_TARGETS
+    info["sModel"], info["sProgram"] = given.model.encode(), b"hil mock plc 1"
+    made = f"{given.model} {given.seed} {given.profile}".encode()
+    info["sSerial"] = (given.serial or f"PLC{zlib.crc32(made) % 1_000_000:06d}").encode()
+
+
+class Loop(loop.Loop):
+    """Serves ADS, lets device time pass, and does what goes wrong.
+
+    Args:
+        program: The PLC's.
+        links: Who talks to it.
+        faults: What goes wrong.
+        witness: Writes down what happens.
+        factor: Device seconds per second of wall time.
+        side: Socket of the side channel, or `NO_SIDE`.
+    """
+
+    def __init__(
+        self,
+        program: PlcProgram,
+        links: Links,
+        faults: Faults[Target],
+        witness: Witness,
+        *,
+        factor: float,
+        side: str = NO_SIDE,
+    ) -> None:
+        super().__init__()
+        self._program, self._links, self._faults, self._witness = program, links, faults, witness
+        self._side = None if side == NO_SIDE else SideChannel(side, PlcRequests(self, faults))
+        self.change(factor)
+
+    def change(self, factor: float) -> None:
+        """Go on at another speed, in device seconds per second of wall time."""
+        self._cycles_per_s = factor / CYCLE_S
+        self._began = self._last = time.monotonic()
+        self._passed = 0.0
+
+    def turn(self) -> None:
+        """Serve who talks to the PLC, and let the cycles pass that are due."""
+        self._links.serve(self._last + ROUND_S - time.monotonic())
+        now = time.monotonic()
+        late = now - self._began - self._passed / self._cycles_per_s
+        if late > LATEST_S:
+            self._began += late - ROUND_S
+        due = int((now - self._began) * self._cycles_per_s - self._passed)
+        if now - self._last < ROUND_S or due <= 0:
+            return
+        wall_s, self._last = min(now - self._last, LATEST_S), now
+        self._passed += due
+        self._pass(due, wall_s)
+
+    def leave(self) -> None:
+        """Hang up on everybody."""
+        self._links.cut()
+        if self._side is not None:
+            self._side.close()
+        self._witness.close()
+
+    def _pass(self, cycles: int, wall_s: float) -> None:
+        self._faults.passed(cycles)
+        if self._side is not None:
+            self._side.serve()
+        if not self._faults.mock.stopped:
+            self._program.watch(wall_s)
+            self._witness.passed(self._program.cycles(cycles))
+
+
+class PlcRequests(Requests):
+    """What may be asked of the mock, past ADS.
+
+    Args:
+        loop: Of the mock.
+        faults: What goes wrong with it.
+    """
+
+    def __init__(self, loop: Loop, faults: Faults[Target]) -> None:
+        arm = faults.mock.program.arm
+        super().__init__(faults, arm.published.n_joints)
+        self._loop, self._arm = loop, arm
+        self.answers["speed"] = self._speed
+
+    def push(self, torque: FloatArray) -> None:
+        """See `Requests`."""
+        self._arm.push(torque)
+
+    def mount(self, payload: Payload | None) -> None:
+        """See `Requests`."""
+        self._arm.mount(payload)
+
+    def truth(self) -> Answer:
+        """See `Requests`."""
+        program, arm = self.faults.mock.program, self._arm
+        return {
+            "phase": program.phase.name,
+            "q": listed(arm.position),
+            "qd": listed(arm.speed),
+            "q_target": listed(arm.setpoint[0]),
+            "braked": arm.braked,
+            "declared_kg": arm.declared.mass,
+            "mounted_kg": arm.mounted.mass,
+        }
+
+    def _speed(self, request: Request) -> Answer:
+        self._loop.change(factor_in(request))
+        return {}
+
+
+class Witness(journal.Witness):
+    """Writes down what the program tells."""
+
+    def __init__(self, journal: Journal) -> None:
+        super().__init__(journal)
+        self._cycles, self._speed = 0, 0.0
+
+    def moment(self) -> Moment:
+        """See `server.journal.Witness`."""
+        return Moment(time.monotonic(), self._cycles * CYCLE_S, self._speed)
+
+    def happened(self, event: str, details: dict[str, Any]) -> None:
+        """The program tells something."""
+        if event == "start":
+            self._rest.moved()
+        self.note(event, **details)
+        if event in STOPPING:
+            self._rest.stopped(event, self.moment())
+
+    def passed(self, speeds: FloatArray) -> None:
+        """Cycles are over; true joint speeds (N, n) [rad/s]."""
+        first, self._cycles = self._cycles, self._cycles + len(speeds)
+        self._speed = float(np.abs(speeds[-1]).max()) if len(speeds) else 0.0
+        if self._rest.waiting:
+            times: FloatArray = np.arange(first, self._cycles, dtype=float) * CYCLE_S
+            self._rest.see(times, speeds, time.monotonic(), 0.0)
