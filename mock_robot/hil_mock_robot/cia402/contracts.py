@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from hil.core import FloatArray
 
@@ -62,19 +62,3 @@ class Measured(NamedTuple):
     true_q: float
     true_qd: float
     limited: bool = False
-
-
-class Node(Protocol):
-    """One drive on the bus."""
-
-    node_id: int
-    registers: Registers
-
-    def heard(self, can_id: int, data: bytes) -> None:
-        """A frame was on the bus (not one of its own); SYNC comes separately."""
-
-    def synced(self) -> None:
-        """A SYNC was on the bus: RPDOs that came before it are applied, TPDOs are sent."""
-
-    def ticked(self, device_s: float) -> None:
-        """Time has passed: heartbeats, event timers, consumers' watch."""

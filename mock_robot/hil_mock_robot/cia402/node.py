@@ -66,7 +66,7 @@ _DRIVE_FAULT, _FAULT_MASK = 0x08, 0x4F
 
 
 class MockNode(canopen.LocalNode):
-    """Implements `contracts.Node`.
+    """One drive on the bus; the caller gives it frames and the time.
 
     Args:
         node_id: 1 to 127.

@@ -393,7 +393,9 @@ def _between_samples(
 EPOCH_S = 1_767_225_600.0
 """Host time at which every mock robot is switched on: 2026-01-01 00:00 UTC."""
 
-MODE_POSITION, MODE_TORQUE = 0, 1
+MODE_TORQUE = 1
+"""`mode` of a row; 0 for position control."""
+
 FAULTY = int(Status.FAULT | Status.MASKED)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from hil.arms import ArmDescription, Payload
 from hil.core import FloatArray
-from hil_mock_robot.plant.records import MOUNTS, SETTLING_S
+from hil_mock_robot.plant.records import SETTLING_S
 from hil_mock_robot.plant.sensors import Sensors
 from hil_mock_robot.plant.simulation import Setting, Simulation
 from hil_mock_robot.plant.truth import Truth, published
@@ -46,10 +46,7 @@ class Body:
         truth: What it is really like.
         rate_hz: Ticks per second.
         q: (6,) where it stands when it is switched on [rad].
-        gravity: In the base frame [m/s²].
-        substep_hz: Integration steps per second.
         mounted: What really hangs at the flange; what is declared when None.
-        temperature_c: Of the joints at the start; the room's when None.
 
     Attributes:
         arm: What is published about it.
@@ -64,10 +61,7 @@ class Body:
         rate_hz: float,
         q: FloatArray,
         *,
-        gravity: tuple[float, float, float] = MOUNTS["table"],
-        substep_hz: float = 1000.0,
         mounted: Payload | None = None,
-        temperature_c: float | None = None,
     ) -> None:
         self.arm: ArmDescription = published(truth.arm)
         self.braked = True
@@ -75,8 +69,7 @@ class Body:
         self.deaf = False
         self._mounted = mounted
         self._sensors = Sensors(truth)
-        setting = Setting(rate_hz, substep_hz, gravity, temperature_c)
-        self._simulation = Simulation(truth, setting, q)
+        self._simulation = Simulation(truth, Setting(rate_hz), q)
         self._simulation.set_payloads(mounted or self.declared, self.declared)
         self._simulation.settle(SETTLING_S)
 
