@@ -34,8 +34,8 @@ from hil.data import Dataset
 from hil.dynamics import RobotModel
 from hil.estimators.checks import require_rank
 from hil.estimators.covariance import ClusterSums, clustered_covariance
+from hil.estimators.least_squares import Weighted, weighted_least_squares
 from hil.estimators.parameters import choice, flag, number, parameter
-from hil.estimators.regression import WeightedLeastSquares
 from hil.estimators.static_model import (
     CURRENT_TERM,
     Form,
@@ -241,17 +241,17 @@ def least_squares(block: Block, weights: Weights | None) -> BlockSolution:
         weight = 1.0 / np.bincount(block.pose)[block.pose]
     elif weights == "repeats":
         weight = _repeat_weights(block)
-    solver = WeightedLeastSquares().fit(block.X, block.y, sample_weight=weight)
-    return _solution(solver, _residual_sums(block, solver, weight))
+    fit = weighted_least_squares(block.X, block.y, weight)
+    return _solution(fit, _residual_sums(block, fit, weight))
 
 
-def _residual_sums(block: Block, solver: WeightedLeastSquares, weight: FloatArray) -> ClusterSums:
-    return ClusterSums.of(block.X, block.y - block.X @ solver.coef_, weight, block.pose)
+def _residual_sums(block: Block, fit: Weighted, weight: FloatArray) -> ClusterSums:
+    return ClusterSums.of(block.X, block.y - block.X @ fit.coefficients, weight, block.pose)
 
 
-def _solution(solver: WeightedLeastSquares, sums: ClusterSums) -> BlockSolution:
-    found = clustered_covariance(solver.bread_, sums)
-    return BlockSolution(solver.coef_, *found, int(solver.rank_), float(solver.condition_))
+def _solution(fit: Weighted, sums: ClusterSums) -> BlockSolution:
+    errors = clustered_covariance(fit.bread, sums)
+    return BlockSolution(fit.coefficients, *errors, fit.rank, fit.condition)
 
 
 PRIOR_OBSERVATIONS = 4.0
@@ -269,9 +269,9 @@ def _weighted_by_residual(block: Block) -> BlockSolution:
     s_g = X_gᵀ r_g of pose g, and (B₁ − D)·B₀⁻¹·s joins the score.
     """
     ones = np.ones_like(block.y)
-    first = WeightedLeastSquares().fit(block.X, block.y)
-    residual = block.y - block.X @ first.coef_
-    weight, gap, prior = np.empty_like(block.y), np.zeros_like(first.bread_), PRIOR_OBSERVATIONS
+    first = weighted_least_squares(block.X, block.y)
+    residual = block.y - block.X @ first.coefficients
+    weight, gap, prior = np.empty_like(block.y), np.zeros_like(first.bread), PRIOR_OBSERVATIONS
     for joint in block.offset:
         rows = block.joint == joint
         pose, own = block.pose[rows], residual[rows]
@@ -283,9 +283,9 @@ def _weighted_by_residual(block: Block) -> BlockSolution:
         kappa = 2.0 / ((prior + 1.0) * count * variance**2)
         score = ClusterSums.of(block.X[rows], own, ones[rows], pose).score
         gap += (score.T * kappa) @ score
-    second = WeightedLeastSquares().fit(block.X, block.y, sample_weight=weight)
+    second = weighted_least_squares(block.X, block.y, weight)
     sums = _residual_sums(block, second, weight)
-    inherited = ClusterSums.of(block.X, residual, ones, block.pose).score @ first.bread_ @ gap
+    inherited = ClusterSums.of(block.X, residual, ones, block.pose).score @ first.bread @ gap
     return _solution(second, replace(sums, score=sums.score + inherited))
 
 
@@ -333,10 +333,9 @@ def penalised(
     for joint, column in block.offset.items():
         coefficients[column] = mean_y[joint, 0] - mean_X[joint] @ coefficients[own]
     p = len(coefficients)
-    probe = WeightedLeastSquares().fit(block.X, block.y)
+    probe = weighted_least_squares(block.X, block.y)
     unknown = np.full((p, p), np.nan)
-    rank, condition = int(probe.rank_), float(probe.condition_)
-    return BlockSolution(coefficients, unknown, unknown[0], rank, condition)
+    return BlockSolution(coefficients, unknown, unknown[0], probe.rank, probe.condition)
 
 
 def _joint_means(block: Block, values: FloatArray) -> FloatArray:
