@@ -24,7 +24,7 @@ from hil.engine.preflight import CheckResult
 from hil.importers.load import gravity_of, load_source, serial_of
 from hil.recording import Attachment, McapWriter, RunDirectory, read_events
 from hil.report import render_report, summary_lines
-from hil.report.facts import read_facts
+from hil.report.run_facts import read_facts
 from hil.robot.state import state_topic
 from hil.spec import load_spec, spec_hash
 from hil.workflow.judging import judge_run

@@ -12,7 +12,7 @@ pytest.importorskip("torch", reason="torch is not installed")
 
 from hil.networks.lagrangian_data import smooth_sign
 from hil.report import run_figures as figures
-from hil.report.predictions import shown
+from hil.report.run_samples import shown
 
 CURVES = {
     "stribeck": ("coulomb", "static", "viscous", "offset"),

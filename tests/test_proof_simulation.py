@@ -10,8 +10,7 @@ from typing import Any
 import pytest
 
 from hil.maintenance.simulation import simulate
-from hil.report.simulation_found import found
-from hil.report.simulation_page import render_simulation
+from hil.report.simulation_page import found, render_simulation
 from hil.spec.schedule import ScheduleSpec, load_schedule_spec
 from hil_mock_robot.plant.truth import draw_truth
 

@@ -25,7 +25,7 @@ from hil.core.typing import StructArray
 from hil.recording import Attachment, RunDirectory, read_info, read_topic
 from hil.recording.mcap_records import scan
 from hil.recording.recovery import recover, recover_file
-from hil.report.soundness import torn as torn_in_words
+from hil.report.run_facts import torn as torn_in_words
 
 ROWS = 40
 ROWS_PER_CHUNK = 4

@@ -21,9 +21,8 @@ from hil.report.drift_page import Along, drift_page
 from hil.report.excitation_page import excitation_page
 from hil.report.fleet_page import fleet_page
 from hil.report.page import Badge, Page, Section, page_html
-from hil.report.report import run_page
-from hil.report.simulation_found import found
-from hil.report.simulation_page import _errors
+from hil.report.run_report import run_page
+from hil.report.simulation_page import _errors, found
 from hil.report.study_sections import study_sections
 from hil.report.try_out_page import trial_page
 from hil.spec.load import load_spec

@@ -12,8 +12,8 @@ from report_runs import RATE, dwell_plan, rows_of_plan, write_run
 from hil.recording import McapWriter
 from hil.report import render_report
 from hil.report.curves import decimated, in_parts
-from hil.report.facts import read_facts
-from hil.report.recording import read_recording
+from hil.report.run_facts import read_facts
+from hil.report.run_samples import read_recording
 from hil.robot.state import STATE_TOPIC, state_topic
 
 PAUSE_S = 100.0

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.report.fit_tables import per_group, per_joint
+from hil.report.model_sections import per_group, per_joint
 
 
 def fit_with(*nrmse: float) -> Any:

@@ -25,8 +25,8 @@ from hil.estimators.rigid_linear import RigidWls
 from hil.estimators.static_model import StaticWls
 from hil.report import run_figures as figures
 from hil.report.page import Page, page_html
-from hil.report.predictions import Shown, shown
-from hil.report.report import run_page
+from hil.report.run_report import run_page
+from hil.report.run_samples import Shown, shown
 from hil.spec.load import load_spec
 from hil.studies.figure import Figure
 from hil.workflow.judging import judge_run

@@ -15,8 +15,7 @@ from hil.estimators.rigid_irls import RigidIrls
 from hil.estimators.rigid_linear import RigidLeastSquares, RigidWls
 from hil.estimators.static_model import StaticWls
 from hil.report import run_figures as figures
-from hil.report.friction_seen import at_rest, in_motion
-from hil.report.predictions import Shown, shown, velocity
+from hil.report.run_samples import Shown, at_rest, in_motion, shown, velocity
 
 VELOCITIES = np.linspace(-1.5, 1.5, 31)[:, None] * np.ones(6)
 

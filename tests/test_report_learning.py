@@ -12,11 +12,11 @@ import pytest
 
 from hil.networks.training import Curves, Told
 from hil.report import colours
-from hil.report.fit_facts import FitFacts
-from hil.report.fit_sections import model_sections
+from hil.report.model_sections import model_sections
 from hil.report.plotly_figure import figure_json, plotly_of
-from hil.report.predictions import Shown
+from hil.report.run_facts import FitFacts
 from hil.report.run_figures import ModelView, learning_curves, learning_panel
+from hil.report.run_samples import Shown
 from hil.studies.figure import Figure
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil.report.measure_text import measure, measures, named, size
+from hil.report.words import measure, measures, named, size
 
 NARROW = "\u202f"
 

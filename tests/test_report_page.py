@@ -16,10 +16,9 @@ import hil
 from hil.core.errors import DataError, RecordingError
 from hil.importers.load import load_source
 from hil.report import render_fit_report, render_report
-from hil.report.facts import read_facts
-from hil.report.measured import measured
-from hil.report.recording import read_recording
-from hil.report.report import run_page
+from hil.report.run_facts import read_facts
+from hil.report.run_report import run_page
+from hil.report.run_samples import measured, read_recording
 from hil.spec.load import load_spec
 from hil.workflow.judging import judge_run
 

@@ -16,8 +16,7 @@ from study_parts import bars, curve, result, six_panels
 import hil
 from hil.core.errors import DataError, SpecError
 from hil.report.matplotlib_figure import drawn
-from hil.report.paper import figures, items
-from hil.report.paper_tables import csv_text, latex_text
+from hil.report.paper import csv_text, figures, items, latex_text
 from hil.studies.figure import Curve, Figure, Panel
 from hil.studies.result import Part, StudyResult, Table
 from hil.studies.store import write_study

@@ -17,8 +17,7 @@ from hil.report.colours import looks_of
 from hil.report.curves import diagonal, dressed, fewer
 from hil.report.page import Badge, Page, Section, page_html
 from hil.report.plotly_figure import plotly_of
-from hil.report.study_sections import study_sections
-from hil.report.study_words import columns_of
+from hil.report.study_sections import columns_of, study_sections
 from hil.report.text import summary_lines
 from hil.report.words import number
 from hil.studies.figure import Curve, Figure, Panel

@@ -12,18 +12,14 @@ from report_html import Page
 from report_runs import fourier_plan, write_run
 from study_parts import result
 
-from hil.report.background import timeline
 from hil.report.curves import dressed
-from hil.report.facts import RunFacts, read_facts
-from hil.report.fit_sections import _setting
-from hil.report.load_criteria import criteria_under_loads
-from hil.report.load_names import load_name
+from hil.report.model_sections import _setting, criteria_under_loads
 from hil.report.page import page_html
-from hil.report.report import run_page
+from hil.report.run_facts import RunFacts, read_facts
 from hil.report.run_figures import error_per_joint
-from hil.report.study_sections import study_sections
-from hil.report.study_words import HONEST_MEANS, columns_of
-from hil.report.weighing import weighing_warnings, weighings
+from hil.report.run_report import run_page, timeline
+from hil.report.study_sections import HONEST_MEANS, columns_of, study_sections
+from hil.report.verdict import load_name, weighing_warnings, weighings
 from hil.spec.load import load_spec
 from hil.studies.figure import Curve, Figure, Panel
 from hil.studies.result import Table

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.report.simulation_found import found
+from hil.report.simulation_page import found
 
 pytestmark = pytest.mark.quick
 

@@ -31,12 +31,19 @@ from hil.networks import Curves
 from hil.report import colours
 from hil.report.curves import Shown as Summary
 from hil.report.curves import binned, decimated, in_parts, span, summarised, thinned
-from hil.report.documents import as_object
-from hil.report.facts import RunFacts
-from hil.report.fit_facts import FitFacts
-from hil.report.friction_seen import AtRest, InMotion, Law
-from hil.report.predictions import Dwells, Motions, Shown
-from hil.report.recording import Drift, Recording, dwell_poses, rows_of_steps
+from hil.report.run_facts import FitFacts, RunFacts, as_object
+from hil.report.run_samples import (
+    AtRest,
+    Drift,
+    Dwells,
+    InMotion,
+    Law,
+    Motions,
+    Recording,
+    Shown,
+    dwell_poses,
+    rows_of_steps,
+)
 from hil.report.words import joint_title, number, quantity
 from hil.studies import Axis, Band, Curve, Figure, Grid, Look, Mark, Panel
 

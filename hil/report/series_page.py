@@ -1,22 +1,28 @@
-"""The overview of a series: how its runs ended, and the tables of their studies side by side."""
+"""The overview of a series: how its runs ended, their models, their studies side by side."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
-from hil.report.documents import Document, as_objects, document
-from hil.report.facts import model_folders
-from hil.report.fit_facts import FitFacts, best_first, read_fits
-from hil.report.judgement import ENDINGS, verdict_badge
+from hil.report.model_sections import HELD_OUT
 from hil.report.page import Badge, Cell, Column, Mark, Page, Section, Table, cells, write_page
-from hil.report.series_models import models_tables
-from hil.report.study_facts import read_studies
-from hil.report.study_words import columns_of, is_numeric, protocol_mark
-from hil.report.words import UNKNOWN, when
+from hil.report.run_facts import (
+    Document,
+    FitFacts,
+    as_objects,
+    best_first,
+    document,
+    model_folders,
+    read_fits,
+    read_studies,
+)
+from hil.report.study_sections import columns_of, is_numeric, protocol_mark
+from hil.report.verdict import ENDINGS, verdict_badge
+from hil.report.words import UNKNOWN, number, when
 from hil.studies import Part, StudyResult
 from hil.studies import Table as StudyTable
 
@@ -85,6 +91,13 @@ def _run(folder: Path, entry: Document, problems: list[str]) -> SeriesRun:
     return SeriesRun(name, entry, fits, tuple(read_studies(path, problems).made))
 
 
+def _badge(runs: Sequence[SeriesRun]) -> Badge:
+    """The worst of the runs."""
+    order: Sequence[Mark] = ("fail", "warn", "", "pass")
+    badges = sorted((_verdict(run) for run in runs), key=lambda badge: order.index(badge.mark))
+    return badges[0] if badges else Badge("NOT BEGUN", "warn")
+
+
 def _verdict(run: SeriesRun) -> Badge:
     outcome = str(run.entry.get("outcome", ""))
     if not run.entry.get("run"):
@@ -92,13 +105,6 @@ def _verdict(run: SeriesRun) -> Badge:
     if outcome in ENDINGS:
         return Badge(*ENDINGS[outcome])
     return verdict_badge(VERDICTS.get(str(run.entry.get("verdict"))))
-
-
-def _badge(runs: Sequence[SeriesRun]) -> Badge:
-    """The worst of the runs."""
-    order: Sequence[Mark] = ("fail", "warn", "", "pass")
-    badges = sorted((_verdict(run) for run in runs), key=lambda badge: order.index(badge.mark))
-    return badges[0] if badges else Badge("NOT BEGUN", "warn")
 
 
 def _runs_table(runs: Sequence[SeriesRun]) -> Table:
@@ -191,3 +197,28 @@ def _by_row(table: StudyTable) -> dict[tuple[str, int], tuple[str, ...]]:
         out[name, seen[name]] = tuple(texts)
         seen[name] += 1
     return out
+
+
+def models_tables(runs: Iterable[tuple[str, Sequence[FitFacts]]]) -> list[Table]:
+    """Held-out errors of every model; no table where there is no model.
+
+    Args:
+        runs: Name of a run and its models, each.
+    """
+    columns = (
+        Column("experiment", number=False),
+        Column("model", number=False),
+        Column("RMSE raw", HELD_OUT),
+        Column("RMSE filtered", HELD_OUT),
+        Column("unit", HELD_OUT, number=False),
+    )
+    rows = tuple(
+        cells(name, fit.label, *_errors(fit), fit.unit or UNKNOWN)
+        for name, fits in runs
+        for fit in fits
+    )
+    return [Table("Errors of the models, means over the joints", columns, rows)] if rows else []
+
+
+def _errors(fit: FitFacts) -> tuple[str, ...]:
+    return tuple(number(fit.mean(metric)) for metric in ("rmse_raw", "rmse_filtered"))

@@ -8,10 +8,8 @@ from textwrap import wrap
 import numpy as np
 
 from hil.estimators import models_below
-from hil.report.documents import as_float
-from hil.report.facts import RunFacts, read_facts
-from hil.report.fit_facts import FitFacts
-from hil.report.judgement import (
+from hil.report.run_facts import FitFacts, RunFacts, as_float, read_facts
+from hil.report.verdict import (
     RESUMABLE,
     badge_of,
     failed_fits,
@@ -19,8 +17,9 @@ from hil.report.judgement import (
     nrmse_warning,
     sentence_of,
     verdict_words,
+    weighing_warnings,
+    weighings,
 )
-from hil.report.weighing import weighing_warnings, weighings
 from hil.report.words import LATE, counted, criterion_text, duration, joint_title, number, when
 
 WIDTH = 80

@@ -1,0 +1,482 @@
+"""A run in words, for page and terminal alike: verdict, key figures, warnings, what to do next.
+
+The badge is how the run ended when it ended early, else the verdict on its models; the sentence
+below it says how good the best model is on held-out data. `next_command` and `next_commissioning`
+say what to type next. Loads are called by their mass, as people on the floor call them.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hil.recording import RunDirectory
+from hil.report.page import Badge, KeyFigure, Mark
+from hil.report.run_facts import Document, FitFacts, RunFacts, as_float, as_object, as_objects
+from hil.report.run_samples import Drift, Recording
+from hil.report.words import count, criterion_text, duration, listed, number, quantity, with_unit
+from hil.robot import Status
+
+NO_SIGNAL = 0.9
+"""NRMSE on the training data from which a joint counts as one without signal."""
+
+ENDINGS: dict[str, tuple[str, Mark]] = {
+    "interrupted": ("INTERRUPTED", "warn"),
+    "running": ("RUNNING", ""),
+    "stopped": ("STOPPED", "warn"),
+    "tripped": ("TRIPPED", "fail"),
+    "failed": ("FAILED", "fail"),
+    "damaged": ("DAMAGED", "fail"),
+}
+
+RESUMABLE = ("interrupted", "stopped", "tripped", "failed")
+
+VERDICTS: dict[bool | None, tuple[str, Mark]] = {
+    True: ("PASSED", "pass"),
+    False: ("REJECTED", "fail"),
+    None: ("NOT JUDGED", ""),
+}
+
+
+def badge_of(facts: RunFacts) -> Badge:
+    """How the run ended when it ended early, else the verdict on its models."""
+    if facts.status in ENDINGS:
+        return Badge(*ENDINGS[facts.status])
+    return verdict_badge(facts.verdict.get("passed"))
+
+
+def verdict_badge(passed: object) -> Badge:
+    """The badge of a verdict; anything but true and false is not judged."""
+    return Badge(*VERDICTS[passed if isinstance(passed, bool) else None])
+
+
+def sentence_of(facts: RunFacts) -> str:
+    """What came of the run, in words a lab person understands."""
+    if facts.status in ENDINGS:
+        return " ".join(filter(None, (_ending(facts), _progress(facts), _models(facts))))
+    return _models(facts) or _without_model(facts)
+
+
+def _ending(facts: RunFacts) -> str:
+    if facts.status == "interrupted":
+        return (
+            "The run ended without saying why: its process was killed, or the power failed. "
+            "What had reached the disk by then is kept and shown here."
+        )
+    if facts.status == "running":
+        return "The run is still going on; what had reached the disk by now is shown here."
+    if facts.status == "damaged":
+        return "The run directory is damaged; this page shows what can still be read."
+    words = {
+        "stopped": "The run was stopped early",
+        "tripped": "An interlock stopped the robot",
+        "failed": "The run failed",
+    }
+    reason = str(facts.stop.get("reason") or "no reason was recorded").strip()
+    return f"{words[facts.status]}: {reason.rstrip('.')}."
+
+
+def _progress(facts: RunFacts) -> str:
+    """How far it came: by what was measured, or by the steps where nobody could count that."""
+    if facts.measured:
+        return f"Measured: {facts.measured}."
+    if not facts.steps:
+        return ""
+    return f"{facts.steps_done} of {len(facts.steps)} steps were done."
+
+
+def _models(facts: RunFacts) -> str:
+    best = facts.judged_fits
+    if not best:
+        return ""
+    rows = as_objects(facts.verdict.get("rows"))
+    said = criteria_sentence(rows)
+    if not best[0].is_honest:  # honest ones come first
+        said = f"It is not judged: {best[0].protocol}. {said}".strip()
+    elif rows and not any(row.get("estimator") for row in rows):
+        said = f"It is not judged: the spec sets no criterion for models. {said}"
+    return f"{fit_sentence(best[0])} {said or 'The spec sets no acceptance criteria.'}"
+
+
+def _without_model(facts: RunFacts) -> str:
+    done, wanted = "The recording is complete.", facts.estimators_wanted
+    if facts.commissioning:
+        return (
+            f"{done} It is of a commissioning run, {facts.commissioning}: such runs are neither "
+            "fitted nor judged."
+        )
+    if facts.fits:
+        names = listed([fit.label for fit in facts.fits])
+        return f"{done} {names} was fitted, but not judged on held-out data."
+    if wanted:
+        return (
+            f"{done} The spec asks for {listed(wanted)}, but there is no fitted model in the run: "
+            f"{'fitting failed' if failed_fits(facts) else 'fitting has not been done'}."
+        )
+    if facts.start.get("passive"):
+        return f"{done} Somebody else drove the robot; nothing was fitted yet."
+    said = criteria_sentence(as_objects(facts.verdict.get("rows")))
+    text = f"{done} The spec asks for no model, so nothing was fitted."
+    if _stands(facts):
+        text += (
+            " `hil payload` tells by a model of the bare arm what is mounted; `hil fit` makes one."
+        )
+    return f"{text} {said}".strip()
+
+
+def _stands(facts: RunFacts) -> bool:
+    """Whether the program is of poses, by its spec."""
+    return as_object(facts.spec.get("excitation")).get("kind") == "dwell"
+
+
+def next_command(facts: RunFacts, run: str) -> str:
+    """What to type next about the run at `run`; empty when nothing is left to do."""
+    wanted = facts.estimators_wanted
+    if facts.commissioning:
+        return next_commissioning(facts)
+    if facts.start.get("passive"):
+        return "" if facts.fits else f"hil fit {run} --estimator {_fitting(facts)}"
+    if _can_be_resumed(facts):
+        return f"hil resume {run}"
+    if facts.status == "completed" and wanted and not facts.fits:
+        return f"hil fit {run} --estimator {wanted[0]}{_parameters_of_first(facts)}"
+    if facts.status == "completed" and facts.studies_missing:
+        return f"hil study {run}"
+    if facts.status == "completed" and not (wanted or facts.fits or facts.spec.get("study")):
+        weigh, fit = f"hil payload MODEL {run}", f"hil fit {run} --estimator rigid-wls"
+        return weigh if _stands(facts) else fit
+    return ""
+
+
+def _fitting(facts: RunFacts) -> str:
+    """The estimator for what was found in a recording without spec."""
+    found = as_object(facts.recorded.get("complete"))
+    standing = "dwell" in found and "trajectory" not in found
+    return "static-wls" if standing else "rigid-wls"
+
+
+def _can_be_resumed(facts: RunFacts) -> bool:
+    """Return whether `hil resume` has something left to measure or to judge."""
+    if not facts.whole or RunDirectory(facts.path).is_judged:
+        return False
+    unjudged = facts.status == "completed" and "replayed" not in facts.start
+    return unjudged or facts.status in RESUMABLE
+
+
+def _parameters_of_first(facts: RunFacts) -> str:
+    """Those the spec gives its first fit, for a shell: `hil fit` reads no spec."""
+    first = as_objects(facts.spec.get("fit"))[0]
+    given = (f"{name}={json.dumps(value)}" for name, value in first.items() if name != "estimator")
+    return "".join(f" --set {shlex.quote(text)}" for text in given)
+
+
+def fit_sentence(fit: FitFacts) -> str:
+    """How good one model is on what it has not seen."""
+    what = fit.held_out.get("what")
+    error, fast = fit.mean("rmse_raw"), fit.mean("noise_floor")
+    text = (
+        f"On held-out data{f' ({what})' if what else ''} the model {fit.name} predicts the "
+        f"{quantity(fit.unit)} with an error of {number(error)} {fit.unit} "
+        f"(RMSE, mean of {len(fit.joint_names)} joints)"
+    )
+    if math.isfinite(fast):
+        text += f"; the measured signal's {fit.fast_part} is {number(fast)} {fit.unit} (RMS)"
+    return text + "."
+
+
+def verdict_words(facts: RunFacts) -> str:
+    """`recording passed, model not judged`; empty when nothing has been judged yet."""
+    if not facts.verdict:
+        return ""
+    said = [f"{part} {_word_of(facts.verdict, part)}" for part in ("recording", "model")]
+    return ", ".join(said)
+
+
+def _word_of(verdict: Document, part: str) -> str:
+    """The word of one part; from the rows where the verdict is of an older hil."""
+    told = as_object(verdict.get(part)).get("verdict")
+    rows = [
+        row
+        for row in as_objects(verdict.get("rows"))
+        if bool(row.get("estimator")) == (part == "model")
+    ]
+    found = all(row.get("passed") for row in rows) if rows else None
+    return str(told or VERDICTS[found][0].lower())
+
+
+def failed_fits(facts: RunFacts) -> list[str]:
+    """The models of the spec that are missing, why, and what to do."""
+    return [
+        f"{problem.get('estimator') or 'No model'} could not be fitted and judged: "
+        + " → ".join(filter(None, (str(problem.get(key) or "") for key in ("error", "hint"))))
+        for problem in as_objects(facts.verdict.get("problems"))
+    ]
+
+
+def nrmse_warning(fit: FitFacts) -> str:
+    """That a limit on the mean NRMSE is about joints without signal too; empty if it is not.
+
+    A joint counts as such when the model does no better than a constant even on the data it was
+    fitted to: at rest, a joint whose axis is vertical carries no gravity at all.
+    """
+    limited = [r for r in fit.criteria if (r.get("metric"), r.get("per")) == ("nrmse", "mean")]
+    trained = zip(fit.joint_names, fit.values("nrmse", "trained"), strict=True)
+    silent = [name for name, value in trained if value >= NO_SIGNAL]
+    if not (limited and silent):
+        return ""
+    return (
+        f"{fit.label}: the limit on the mean NRMSE includes {listed(silent, 6)}, where a constant "
+        "does as well even on the training data: there is no signal to explain, and NRMSE is 1 "
+        "whatever the model is worth. Limit the RMSE instead (accept.rmse)."
+    )
+
+
+def criteria_sentence(rows: Sequence[Document]) -> str:
+    """How many criteria are met, and which are not; empty without criteria."""
+    missed = [row for row in rows if not row.get("passed")]
+    if not rows:
+        return ""
+    if not missed:
+        texts = list(dict.fromkeys(criterion_text(row) for row in rows))
+        return (
+            f"{'The criterion is' if len(rows) == 1 else 'All criteria are'} met: {listed(texts)}."
+        )
+    groups = dict.fromkeys(_group(row) for row in missed)
+    words = [_missed([row for row in rows if _group(row) == group]) for group in groups]
+    return f"Criteria are missed: {'; '.join(words)}."
+
+
+def _group(row: Document) -> tuple[str, str]:
+    return str(row.get("estimator") or ""), criterion_text(row)
+
+
+def _missed(rows: Sequence[Document]) -> str:
+    """`RMSE raw ≤ 0.02 A by 2 of 6 joints, worst elbow_joint with 0.034 A (static-wls)`."""
+    missed = [row for row in rows if not row.get("passed")]
+    worst = max(missed, key=lambda row: as_float(row.get("value")))
+    model, criterion = _group(worst)
+    found = with_unit(worst.get("value"), worst.get("unit"))
+    several = f" by {len(missed)} of {len(rows)} joints, worst" if len(rows) > 1 else " by the"
+    text = f"{criterion}{several} {worst.get('what')} with {found}"
+    return f"{text} ({model})" if model else text
+
+
+ALARMING_PERCENT = 1.0
+"""More missing samples than this are marked as a failure, fewer as a warning."""
+
+WHOLE = 0.9995
+"""A model valid on a larger share of the rows than this is called valid on all of them."""
+
+
+def run_highlights(
+    facts: RunFacts, recording: Recording | None, drift: Drift | None
+) -> list[KeyFigure]:
+    """Numbers people look for first."""
+    out = fit_highlights(facts.judged_fits[0]) if facts.judged_fits else []
+    if facts.steps:
+        done, planned = facts.steps_done, len(facts.steps)
+        mark: Mark = "" if done >= planned else "warn"
+        out.append(KeyFigure("program", f"{done} of {planned}", "steps done", mark))
+    if recording is not None:
+        out += _of_recording(recording)
+    if drift is not None:
+        largest = f"{number(_peak(drift.change))} {facts.effort_unit}"
+        note = f"worst joint, {len(drift.t)} visits"
+        out.append(KeyFigure("drift at the reference pose", largest, note))
+    return out
+
+
+def _of_recording(recording: Recording) -> list[KeyFigure]:
+    counts, missing = recording.counts, recording.gaps_percent
+    span = f"{duration(recording.recorded_s)} at {number(recording.rate_hz)} Hz"
+    mark: Mark = "fail" if missing > ALARMING_PERCENT else "warn" if missing > 0 else ""
+    out = [
+        KeyFigure("samples", count(counts.samples), span),
+        KeyFigure("missing samples", f"{number(missing, 2)} %", f"{counts.gaps} gaps", mark),
+    ]
+    tracking, heat = 1e3 * _peak(recording.tracking_error()), _peak(recording.rows["temperature"])
+    if np.isfinite(tracking):
+        out.append(KeyFigure("largest tracking error", f"{number(tracking)} mrad"))
+    if np.isfinite(heat):
+        out.append(KeyFigure("hottest joint", f"{number(heat)} °C"))
+    return out
+
+
+def _peak(values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> float:
+    finite = np.abs(values[np.isfinite(values)])
+    return float(finite.max()) if len(finite) else float("nan")
+
+
+def fit_highlights(fit: FitFacts) -> list[KeyFigure]:
+    """The held-out errors of a model."""
+    note = f"{fit.label}, mean of {len(fit.joint_names)} joints"
+    out = [
+        KeyFigure(
+            f"RMSE {signal}, held out", f"{number(fit.mean(f'rmse_{signal}'))} {fit.unit}", note
+        )
+        for signal in ("raw", "filtered")
+    ]
+    fast = fit.mean("noise_floor")
+    if np.isfinite(fast):
+        note = "RMS of the measured signal, mean of joints"
+        out.append(KeyFigure(fit.fast_part, f"{number(fast)} {fit.unit}", note))
+    return out
+
+
+def run_warnings(facts: RunFacts, recording: Recording | None) -> list[str]:
+    """What is wrong, or looks wrong, with a run."""
+    told = facts.stop.get("problems")
+    out = [*facts.problems, *(map(str, told) if isinstance(told, list) else ())]
+    if facts.status == "interrupted":
+        out.append("There is no stop.json: the run was interrupted.")
+    if recording is None:
+        out.append("No sample was recorded, or none can be read.")
+    else:
+        out += _continuity(facts, recording) + _status(recording)
+    if poses := facts.unsettled:
+        which = listed([str(pose) for pose in poses], 12)
+        out.append(f"{len(poses)} dwell(s) did not settle before the time-out: poses {which}.")
+    return (
+        out
+        + _waived(facts)
+        + weighing_warnings(facts)
+        + failed_fits(facts)
+        + facts.studies.warnings
+        + fit_warnings(facts.fits)
+    )
+
+
+def _continuity(facts: RunFacts, recording: Recording) -> tuple[str, ...]:
+    out, counts = [], recording.counts
+    if counts.gaps:
+        share = number(recording.gaps_percent, 2)
+        out.append(
+            f"{counts.gaps} gap(s) in the recording: {counts.missing} samples missing ({share} %)."
+        )
+    if counts.duplicates:
+        out.append(f"{counts.duplicates} sample(s) repeat, or go back in, device time.")
+    told = facts.stop.get("samples")
+    if isinstance(told, int) and told != counts.samples:
+        out.append(f"stop.json counts {told} samples, the recording holds {counts.samples}.")
+    return tuple(out)
+
+
+def _status(recording: Recording) -> tuple[str, ...]:
+    words = {
+        Status.FAULT: "report a controller fault",
+        Status.MASKED: "are marked as not usable",
+        Status.SLOWED: "are excluded: measured slower than planned (speed slider)",
+    }
+    status = recording.rows["status"]
+    found = {said: int(np.count_nonzero(status & bit)) for bit, said in words.items()}
+    return tuple(f"{hits} sample(s) {said}." for said, hits in found.items() if hits)
+
+
+def _waived(facts: RunFacts) -> list[str]:
+    return [
+        f"The failed preflight check {check.get('name')} was waived: {check.get('message')}"
+        for check in as_objects(facts.preflight.get("checks"))
+        if check.get("waived")
+    ]
+
+
+def fit_warnings(fits: Sequence[FitFacts]) -> list[str]:
+    """Models that were not judged, or not on all rows, or that have seen the target."""
+    out = [f"{fit.label} has not been judged on held-out data." for fit in fits if not fit.held_out]
+    named = {fit.name: fit.protocol for fit in fits if not fit.is_honest}
+    out += [f"{name} is no prediction and is not judged; {why}." for name, why in named.items()]
+    for fit in fits:
+        out += filter(None, [nrmse_warning(fit)])
+        coverage = as_float(fit.held_out.get("coverage"))
+        if coverage < WHOLE:
+            share = number(100 * coverage)
+            out.append(
+                f"{fit.label} calls itself valid on {share} % of the held-out rows; "
+                "only those were judged."
+            )
+    return out
+
+
+DOUBTFUL = {
+    "waived": "The failed weighing was waived",
+    "inconclusive": "The weighing cannot tell which load is mounted",
+}
+"""Results of a weighing after which a run goes on, and what they say about it."""
+
+
+def weighings(facts: RunFacts) -> dict[str, str]:
+    """Load → what was weighed, as it was weighed last; empty for a run without a sweep."""
+    told: dict[str, str] = {}
+    for event in facts.events_of("weighing"):
+        result = event.get("result")
+        if result == "skipped":
+            told["loads"] = f"not weighed: {event.get('reason')}"
+        elif result == "first":
+            told.pop(load_name(facts, 0), None)
+        else:
+            told.pop("loads", None)
+            told[load_name(facts, event.get("load"))] = _words(event)
+    return told
+
+
+def _words(event: Document) -> str:
+    if event.get("result") != "passed":
+        return _problem(event)
+    declared, weighed, deviation = (
+        as_float(event.get(key)) for key in ("declared_kg", "weighed_kg", "deviation_kg")
+    )
+    return f"{declared:.2f} kg declared, {weighed:.2f} ± {deviation:.2f} kg weighed"
+
+
+def _problem(event: Document) -> str:
+    """Its first line, without the number of the load."""
+    line = str(event.get("problem") or "").partition("\n")[0]
+    return line.removeprefix(f"load {event.get('load')}: ")
+
+
+def weighing_warnings(facts: RunFacts) -> list[str]:
+    """A sentence for every load that may not be the declared one and was measured all the same."""
+    newest = {e.get("load"): e for e in facts.events_of("weighing") if e.get("result") != "skipped"}
+    told = ((DOUBTFUL.get(str(event.get("result"))), event) for event in newest.values())
+    return [
+        f"{doubtful}: {load_name(facts, event.get('load'))}: {_problem(event)}."
+        for doubtful, event in told
+        if doubtful
+    ]
+
+
+def next_commissioning(facts: RunFacts) -> str:
+    """The next step of commissioning; the same one again after a run that ended early.
+
+    First all poses at the same speed, then the whole program. Empty while the run goes on, and
+    for a run that does not say where its spec is.
+    """
+    spec, station = str(facts.start.get("spec") or ""), str(facts.start.get("station") or "")
+    if not spec or facts.status in ("running", "damaged"):
+        return ""
+    again = facts.status != "completed"
+    told = as_object(facts.start.get("commissioning"))
+    words = ["hil", "run", spec]
+    words += ["--station", station] if Path(station).suffix else []
+    first, first_s, speed = told.get("first"), told.get("first_s"), as_float(told.get("speed"))
+    part = str(first) if first else f"{as_float(first_s):g}s" if first_s else ""
+    if speed < 1.0 and (part or again):
+        words += ["--speed", f"{100 * speed:g}%"]
+    if part and again:
+        words += ["--first", part]
+    return shlex.join(words)
+
+
+def load_name(facts: RunFacts, load: Any) -> str:
+    """`3 kg`; `3 kg (load 2)` where that mass is mounted twice, `load 2` where none is known."""
+    masses = [as_float(one.get("mass_kg")) for one in as_objects(facts.plan.get("loads"))]
+    if not isinstance(load, int) or not 0 <= load < len(masses) or not masses[load] >= 0.0:
+        return f"load {load}"
+    name = f"{masses[load]:.4g} kg"
+    return name if masses.count(masses[load]) == 1 else f"{name} (load {load})"
