@@ -202,7 +202,7 @@ class Problem(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Told:
-    """One epoch, for whoever watches and for the learning curves.
+    """One epoch, as a `Watch` and the learning curves get it.
 
     Attributes:
         stage: Name of the stage.
@@ -228,22 +228,22 @@ Watch = Callable[[Told], None]
 
 @runtime_checkable
 class KeptIfPossible(Protocol):
-    """A watch for whom a training goes on when its checkpoints cannot be written any more."""
+    """A `Watch` that lets a training go on when its checkpoints can no longer be written."""
 
     def not_kept(self, error: HilError) -> None:
-        """Why; from now on the training is not kept."""
+        """Take note of the reason; from now on the training is not kept."""
 
 
 @runtime_checkable
 class HearsBeginning(Protocol):
-    """A watch that wants to know of a training before its first epoch, which may take minutes."""
+    """A `Watch` that is also called before the first epoch, which may take minutes."""
 
     def began(self, what: str) -> None:
-        """What is trained, and on how much."""
+        """Take note of what is trained, and on how much."""
 
 
 def unwatched(told: Told) -> None:
-    """Progress that nobody watches."""
+    """Ignore an epoch: the `Watch` of a training that is not watched."""
 
 
 BARS = "▁▂▃▄▅▆▇█"

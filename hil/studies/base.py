@@ -102,7 +102,7 @@ def study(name: str, /, **params: Any) -> Study:
     return made
 
 
-def words(name: str, given: Any, known: Sequence[str]) -> list[str]:
+def subset(name: str, given: Any, known: Sequence[str]) -> list[str]:
     """Some of the known words, in the order of those.
 
     Raises:

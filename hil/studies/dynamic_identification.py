@@ -15,7 +15,7 @@ from hil.data import Dataset, SeriesKind
 from hil.dynamics import RobotModel
 from hil.estimators import Needs, flag, number, parameter, whole
 from hil.studies import dynamic_tables as tables
-from hil.studies.base import Progress, Study, silent, words
+from hil.studies.base import Progress, Study, silent, subset
 from hil.studies.dynamic_drawn import by_protocol, torques
 from hil.studies.dynamic_methods import (
     METHOD_KEYS,
@@ -40,10 +40,10 @@ class DynamicIdentification(Study):
     series_kinds: ClassVar[tuple[tuple[SeriesKind, ...], ...]] = (("trajectory",),)
 
     protocols: list[str] = parameter(
-        tuple(PROTOCOLS), words, tuple(PROTOCOLS), doc="`paper`, `honest` or both."
+        tuple(PROTOCOLS), subset, tuple(PROTOCOLS), doc="`paper`, `honest` or both."
     )
     methods: list[str] = parameter(
-        METHOD_KEYS, words, METHOD_KEYS, doc="Keys of `hil.studies.dynamic_methods.METHODS`."
+        METHOD_KEYS, subset, METHOD_KEYS, doc="Keys of `hil.studies.dynamic_methods.METHODS`."
     )
     splits: int = parameter(3, whole, at_least=1, doc="How often each protocol's split is drawn.")
     cutoff_hz: float = parameter(

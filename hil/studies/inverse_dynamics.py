@@ -15,7 +15,7 @@ from hil.dynamics import RobotModel
 from hil.estimators import MOST_SEED, Needs, flag, number, parameter, whole
 from hil.studies import inverse_drawn as drawn
 from hil.studies import inverse_tables as tables
-from hil.studies.base import Progress, Study, silent, words
+from hil.studies.base import Progress, Study, silent, subset
 from hil.studies.dynamic_methods import NEEDS
 from hil.studies.figure import Figure
 from hil.studies.inverse_cases import CASES, load_names, recorded
@@ -33,10 +33,10 @@ class InverseDynamics(Study):
     series_kinds: ClassVar[tuple[tuple[SeriesKind, ...], ...]] = (("trajectory",),)
 
     protocols: list[str] = parameter(
-        tuple(CASES), words, tuple(CASES), doc="`paper`, `honest` or both."
+        tuple(CASES), subset, tuple(CASES), doc="`paper`, `honest` or both."
     )
     methods: list[str] = parameter(
-        DEFAULT_KEYS, words, ROW_KEYS, doc="Keys of `hil.studies.inverse_methods.ROWS`."
+        DEFAULT_KEYS, subset, ROW_KEYS, doc="Keys of `hil.studies.inverse_methods.ROWS`."
     )
     seeds: int = parameter(
         3, whole, at_least=1, at_most=1000,

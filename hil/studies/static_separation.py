@@ -16,7 +16,7 @@ from hil.data import Dataset, SeriesKind
 from hil.dynamics import RobotModel
 from hil.estimators import Needs, Weights, choice, flag, number, parameter, whole
 from hil.networks import Mlp
-from hil.studies.base import Progress, Study, silent, words
+from hil.studies.base import Progress, Study, silent, subset
 from hil.studies.result import Part, StudyResult
 from hil.studies.separation_data import NEEDS, Recording, recording_of
 from hil.studies.separation_drawn import honest_figures, paper_figures
@@ -105,7 +105,7 @@ class StaticSeparation(Study):
     study: ClassVar[str] = "static-separation"
     series_kinds: ClassVar[tuple[tuple[SeriesKind, ...], ...]] = (("dwell",),)
 
-    protocols: list[str] = parameter(PROTOCOLS, words, PROTOCOLS, doc="`paper`, `honest` or both.")
+    protocols: list[str] = parameter(PROTOCOLS, subset, PROTOCOLS, doc="`paper`, `honest` or both.")
     layouts: list[list[int]] = parameter(
         tuple(TABLE_3), checked_layouts,
         doc="Of networks to compare in Table 3, four inputs (q2…q5) and one output each.",
@@ -127,7 +127,7 @@ class StaticSeparation(Study):
         "paper", choice, ("paper", "repeats", "pose"), doc="Of WLS, see `static-linear`."
     )
     methods: list[str] = parameter(
-        METHOD_KEYS, words, METHOD_KEYS,
+        METHOD_KEYS, subset, METHOD_KEYS,
         doc="Of the honest comparison, see `hil.studies.separation_honest.known_methods`.",
     )  # fmt: skip
     folds: int = parameter(
