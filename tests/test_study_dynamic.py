@@ -32,8 +32,7 @@ from hil.studies.dynamic_methods import (
     trajectories_of,
 )
 from hil.studies.dynamic_tables import AVERAGES, TABLE_II
-from hil.studies.result import StudyResult, Table
-from hil.studies.soundness import faults_of
+from hil.studies.result import StudyResult, Table, faults_of
 
 pytestmark = pytest.mark.quick
 

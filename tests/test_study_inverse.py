@@ -22,8 +22,7 @@ from hil.studies.base import Ended, study
 from hil.studies.inverse_cases import honest_case, recorded
 from hil.studies.inverse_methods import ROW_KEYS, ROWS, USUAL_EPOCHS, families, unfitted
 from hil.studies.inverse_tables import PRINTED, PRINTED_AVERAGES
-from hil.studies.result import StudyResult, Table
-from hil.studies.soundness import faults_of
+from hil.studies.result import StudyResult, Table, faults_of
 
 PAGE = Path(__file__).parents[1] / "docs" / "reference" / "studies.md"
 

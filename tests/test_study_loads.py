@@ -25,8 +25,7 @@ from hil.studies.base import study
 from hil.studies.inverse_cases import recorded as recorded_from
 from hil.studies.load_models import LoadCase, Scored, UnderLoads, folds_of, load_cases, unseen
 from hil.studies.load_tables import warnings
-from hil.studies.result import StudyResult, Table
-from hil.studies.soundness import faults_of
+from hil.studies.result import StudyResult, Table, faults_of
 from hil.workflow import studies as campaign
 
 SMALL: dict[str, Any] = {

@@ -19,7 +19,7 @@ from hil.estimators.model_file import json_bytes
 from hil.estimators.static_model import paper_functions
 from hil.studies.base import silent, study
 from hil.studies.figure import Figure
-from hil.studies.result import Part, StudyResult, Table
+from hil.studies.result import Part, StudyResult, Table, faults_of
 from hil.studies.separation_data import (
     by_pose,
     by_sample,
@@ -29,7 +29,6 @@ from hil.studies.separation_data import (
     rows_in,
 )
 from hil.studies.separation_honest import METHOD_KEYS, HonestProtocol, fit_tasks, known_methods
-from hil.studies.soundness import faults_of
 from hil.studies.store import read_study, study_files
 from hil.studies.tasks import run_tasks
 

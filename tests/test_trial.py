@@ -26,7 +26,7 @@ from hil.dynamics import load_model
 from hil.report.try_out_page import trial_page
 from hil.robot import Capabilities, Identity, TorqueControlled, state_dtype
 from hil.spec.station import StationRobot
-from hil.studies.soundness import faults_of
+from hil.studies.result import faults_of
 from hil_mock_robot.plant.truth import draw_truth
 
 

@@ -20,11 +20,11 @@ from .result import Part as Part
 from .result import StudyResult as StudyResult
 from .result import Table as Table
 from .result import Value as Value
-from .separation_text import joint_titles as joint_titles
-from .separation_text import listed as listed
-from .separation_text import mean_of as mean_of
-from .separation_text import value as value
-from .separation_text import values as values
+from .result import joint_titles as joint_titles
+from .result import listed as listed
+from .result import mean_of as mean_of
+from .result import value as value
+from .result import values as values
 from .store import PROBLEM_FILE as PROBLEM_FILE
 from .store import STUDIES as STUDIES
 from .store import STUDY_FILE as STUDY_FILE

@@ -16,7 +16,7 @@ from hil.dynamics import RobotModel
 from hil.estimators import Needs, flag, number, parameter, whole
 from hil.studies import dynamic_tables as tables
 from hil.studies.base import Progress, Study, silent, subset
-from hil.studies.dynamic_drawn import by_protocol, torques
+from hil.studies.dynamic_figures import by_protocol, torques
 from hil.studies.dynamic_methods import (
     METHOD_KEYS,
     METHODS,

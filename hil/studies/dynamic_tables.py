@@ -12,8 +12,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from hil.studies.dynamic_methods import METHODS, Found
-from hil.studies.result import Table, Value
-from hil.studies.separation_text import joint_titles, value, values, with_mean
+from hil.studies.result import Table, Value, joint_titles, value, values, with_mean
 
 PRINTED = "as printed, another robot: "
 

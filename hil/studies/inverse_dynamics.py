@@ -13,7 +13,7 @@ from hil.core import FitError, checked_address, cluster, cores
 from hil.data import Dataset, SeriesKind
 from hil.dynamics import RobotModel
 from hil.estimators import MOST_SEED, Needs, flag, number, parameter, whole
-from hil.studies import inverse_drawn as drawn
+from hil.studies import inverse_figures as drawn
 from hil.studies import inverse_tables as tables
 from hil.studies.base import Progress, Study, silent, subset
 from hil.studies.dynamic_methods import NEEDS

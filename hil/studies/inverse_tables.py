@@ -17,8 +17,7 @@ from hil.studies.dynamic_tables import AVERAGES, TABLE_II
 from hil.studies.inverse_cases import Held
 from hil.studies.inverse_fits import FEWEST_SEEDS, Found, apart, beside, doubt
 from hil.studies.inverse_methods import LATENCY_S, LITERAL, ONE_TO_SIX, PREVIOUS_S, ROWS
-from hil.studies.result import Table, Value
-from hil.studies.separation_text import joint_titles, listed, value, with_mean
+from hil.studies.result import Table, Value, joint_titles, listed, value, with_mean
 
 ANOTHER = "as printed, another robot: "
 

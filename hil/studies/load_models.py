@@ -44,7 +44,7 @@ from hil.estimators import (
 from hil.networks import keeps_checkpoints
 from hil.studies.dynamic_methods import rmse_where
 from hil.studies.inverse_cases import Recorded, load_names
-from hil.studies.separation_text import listed, mean_of
+from hil.studies.result import listed, mean_of
 
 Entry = str | Mapping[str, Any]
 """An estimator by name, or with its parameters beside the key `estimator`."""

@@ -10,8 +10,7 @@ from hil.core import HilError
 from hil.estimators import NAMES, Declaration, true_values
 from hil.studies.figure import Curve, Figure, Panel
 from hil.studies.load_models import TOLD, Scored, UnderLoads
-from hil.studies.result import Table, Value
-from hil.studies.separation_text import joint_titles, listed, mean_of, value, values, with_mean
+from hil.studies.result import Table, Value, joint_titles, listed, mean_of, value, values, with_mean
 
 FIRST_INERTIA = 4
 """Where inertias begin in `NAMES`."""

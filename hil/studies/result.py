@@ -1,17 +1,21 @@
 """What a study finds, in a form that knows neither HTML nor files: tables, figures and sentences.
 
 Everything survives a trip through JSON (`to_dict`, `from_dict`); a NaN becomes null and comes back
-as NaN.
+as NaN. Studies are plug-ins, so `faults_of` says what keeps a result from being shown. The last
+functions are the numbers and words that studies put into tables.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from hil.core import card, number
-from hil.studies.figure import Figure, figure_from_dict
+import numpy as np
+
+from hil.core import FloatArray, card, number
+from hil.studies.figure import Curve, Figure, figure_from_dict
 
 Value = str | float | int | None
 
@@ -140,6 +144,10 @@ def _part_to_dict(part: Part) -> dict[str, Any]:
     }
 
 
+def _texts(raw: Sequence[Any]) -> tuple[str, ...]:
+    return tuple(str(text) for text in raw)
+
+
 def _part(raw: Mapping[str, Any]) -> Part:
     return Part(
         str(raw["title"]),
@@ -157,5 +165,71 @@ def _table(raw: Mapping[str, Any]) -> Table:
     return Table(str(raw["key"]), str(raw["title"]), columns, rows, raw["note"], kept)
 
 
-def _texts(raw: Sequence[Any]) -> tuple[str, ...]:
-    return tuple(str(text) for text in raw)
+def faults_of(result: StudyResult) -> list[str]:
+    """What keeps a result from being shown, in words; empty when it is sound."""
+    return [f"{part.title}: {fault}" for part in result.parts for fault in _of_part(part)]
+
+
+def _of_part(part: Part) -> Iterator[str]:
+    keys = Counter([*(table.key for table in part.tables), *(f.key for f in part.figures)])
+    yield from (f"{n} tables or figures have the key {key!r}" for key, n in keys.items() if n > 1)
+    for table in part.tables:
+        yield from _of_table(table)
+    for figure in part.figures:
+        if figure.per_row < 1:
+            yield f"{figure.key}: per_row is {figure.per_row}, but must be at least 1"
+        for panel in figure.panels:
+            for curve in panel.curves:
+                yield from (f"{figure.key}, {panel.title}: {text}" for text in _of_curve(curve))
+
+
+def _of_table(table: Table) -> Iterator[str]:
+    for row in table.rows:
+        if len(row) != len(table.columns):
+            name = row[0] if row else ""
+            yield f"{table.key}: {len(row)} values for {len(table.columns)} columns in {name!r}"
+
+
+def _of_curve(curve: Curve) -> Iterator[str]:
+    if len(curve.x) != len(curve.y):
+        yield f"{curve.name}: {len(curve.x)} values of x for {len(curve.y)} of y"
+    if curve.y_error and len(curve.y_error) != len(curve.y):
+        yield f"{curve.name}: {len(curve.y_error)} error bars for {len(curve.y)} values"
+    if len({isinstance(x, str) for x in curve.x}) > 1:
+        yield f"{curve.name}: x mixes names and numbers"
+
+
+def joint_titles(n: int) -> tuple[str, ...]:
+    """J1 to Jn."""
+    return tuple(f"J{j + 1}" for j in range(n))
+
+
+def values(numbers: FloatArray | Sequence[float]) -> tuple[Value, ...]:
+    """Numbers for a table; None where there is none."""
+    return tuple(value(float(number)) for number in numbers)
+
+
+def value(number: float) -> float | None:
+    """A number for a table; None for NaN."""
+    return number if np.isfinite(number) else None
+
+
+def mean_of(per_joint: FloatArray) -> float:
+    """Mean over the joints it is known for; NaN without any."""
+    known = per_joint[np.isfinite(per_joint)]
+    return float(np.mean(known)) if len(known) else float("nan")
+
+
+def with_mean(per_joint: FloatArray) -> tuple[Value, ...]:
+    """The joints, and their mean."""
+    return values([*per_joint.tolist(), mean_of(per_joint)])
+
+
+def listed(items: Sequence[str]) -> str:
+    """`a, b and c`."""
+    return " and ".join([", ".join(items[:-1]), items[-1]] if len(items) > 1 else list(items))
+
+
+def layout_name(layout: Sequence[int]) -> str:
+    """`4-20-20-10-1`."""
+    return "-".join(str(units) for units in layout)

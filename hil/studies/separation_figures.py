@@ -1,4 +1,8 @@
-"""Curves and panels of a separation study, with no more points than a page shows."""
+"""Figures of a separation study: those of the paper, and the same under the honest protocol.
+
+`paper_figures` and `honest_figures` choose what is shown; the functions below them make panels of
+curves, with no more points than a page shows.
+"""
 
 from __future__ import annotations
 
@@ -6,24 +10,15 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from hil.core import FloatArray, IntArray
+from hil.core import FloatArray, HilError, IntArray
 from hil.data import Dataset, correlation
-from hil.estimators import StaticLinear
+from hil.estimators import StaticLinear, Weights
 from hil.studies.figure import Curve, Figure, Panel, Style
-from hil.studies.separation_text import joint_titles
-
-MOST = 700
-"""Points of a panel, all curves together."""
-
-IN_A_ROW = 80
-"""Of efforts that jump from row to row, more cannot be told apart."""
-
-ROW = f"The first {IN_A_ROW} in order of time."
-GIVEN = (
-    "The intervals hold for the scatter between poses. What all poses share (friction that "
-    "differs by side or load, gains that are off) is not in them: on the mock with all effects "
-    "they hold about half of the true values."
-)
+from hil.studies.result import joint_titles
+from hil.studies.separation_data import Recording
+from hil.studies.separation_honest import SHORT, Bands, HonestRun, friction_of
+from hil.studies.separation_paper import METHODS, PaperRun
+from hil.studies.separation_tables import WORDS
 
 
 def joint_angles(whole: Dataset) -> Figure:
@@ -136,3 +131,109 @@ def floats(values: FloatArray | IntArray) -> tuple[float, ...]:
 def spaced(count: int, most: int) -> IntArray:
     """At most so many of so many rows, evenly spaced."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.int64))
+
+
+OURS = ("hysteresis", "network-approach", "coulomb", "network", "gravity", "wls")
+"""What is shown as the model in the honest figures: the first of them that was fitted."""
+
+IN_A_ROW = 80
+"""Of efforts that jump from row to row, more cannot be told apart."""
+
+ROW = f"The first {IN_A_ROW} in order of time."
+
+
+def paper_figures(run: PaperRun, joint: int) -> tuple[Figure, ...]:
+    """Figures 4, 5, 7 and 8; `joint` from 0 beside joint 1 in Fig. 5, and in Fig. 7."""
+    current, test, train = run.data["effort"], run.partition.test, run.partition.train
+    whole = run.wls.estimate + run.separated().friction
+    axes = ("test sample, in order of time", "current [A]")
+    linear = {WORDS[method]: run.linear[method].estimate[test] for method in METHODS}
+    fitted = {
+        "a) training samples": (current[train, joint], whole[train, joint]),
+        "b) test samples": (current[test, joint], whole[test, joint]),
+    }
+    modelled = {"measured": current[test], "WLS and networks": whole[test]}
+    return (
+        parameters("fig-4", run.wls.model, "Of eq. 20: gravity over K₁, in amperes. The six "
+                   "columns of φ₂ repeat each other, so single parameters are uncertain where "
+                   "their sum is not."),
+        series("fig-5", "Measured and estimated currents", "Five methods on eq. 20, the measured "
+               "current among their inputs.", {"measured": current[test], **linear},
+               sorted({0, joint}), axes),
+        regression("fig-7", f"Regression plots of J{joint + 1}", "Gravity and friction together; "
+                   "each point is a sample, and each pose is in both panels.", fitted,
+                   ("measured [A]", "estimated [A]")),
+        series("fig-8", "Performance of the static model", "Measured and modelled currents of "
+               "test samples, whose poses were trained on.", modelled,
+               range(run.data.n_joints), axes),
+    )  # fmt: skip
+
+
+def honest_figures(
+    recording: Recording, run: HonestRun, both: Bands | None, joint: int, weights: Weights
+) -> tuple[Figure, ...]:
+    """The same with whole poses held out, and what the approach leaves in the current."""
+    unit = run.dwells.effort_unit
+    effort, axes = f"effort [{unit}]", "dwell held out, in order of time"
+    found = _parameters(recording, weights)
+    linear = {
+        WORDS[method]: run.methods[method].effort for method in METHODS if method in run.methods
+    }
+    if linear:
+        found.append(
+            series("fig-5h", "Measured and estimated efforts", "The five methods without the "
+                   "measured current, at poses they have not seen. Their lines lie on each "
+                   f"other. {ROW}",
+                   {"measured": run.measured, **linear}, sorted({0, joint}), (axes, effort))
+        )  # fmt: skip
+    best = next((key for key in OURS if key in run.methods), next(iter(run.methods)))
+    chosen = [run.methods[key] for key in dict.fromkeys(("network", best)) if key in run.methods]
+    sets = {one.method.words: (run.measured[:, joint], one.effort[:, joint]) for one in chosen}
+    modelled = {"measured": run.measured, "modelled": run.methods[best].effort}
+    found += [
+        regression("fig-7h", f"Regression plots of J{joint + 1}", "Poses not seen; each point "
+                   "is the mean of a dwell.", sets,
+                   (f"measured [{unit}]", f"estimated [{unit}]")),
+        series("fig-8h", "Performance of the static model", "Measured and modelled means of "
+               f"dwells at poses not seen; the model: {run.methods[best].method.words}. {ROW}",
+               modelled, range(run.dwells.n_joints), (axes, effort)),
+    ]  # fmt: skip
+    if both is not None:
+        found.append(_band(both))
+    return tuple(found)
+
+
+def _parameters(recording: Recording, weights: Weights) -> list[Figure]:
+    """Fig. 4 without the current among the regressors; nothing for arms eq. 15 is not for."""
+    model = StaticLinear(method="wls", form="paper", weights=weights)
+    try:
+        model.fit(recording.dwells, recording.robot)
+    except HilError:
+        return []
+    caption = "From the mean of every dwell, both approaches, nothing measured among the inputs."
+    return [parameters("fig-4h", model, caption)]
+
+
+def _band(both: Bands) -> Figure:
+    curves: dict[str, FloatArray] = {"measured": both.measured.half}
+    curves |= {SHORT[key]: both.predicted[key].half for key in reversed(friction_of(both))}
+    known = both.common
+    shown = {name: np.where(known, half, np.nan) for name, half in curves.items()}
+    return clouds(
+        "fig-band",
+        "Half the difference of both approaches over the load",
+        "Stick friction of a pose, measured and as predicted for poses not seen.",
+        both.load,
+        shown,
+        (f"load [{both.unit}]", f"half difference [{both.unit}]"),
+    )
+
+
+MOST = 700
+"""Points of a panel, all curves together."""
+
+GIVEN = (
+    "The intervals hold for the scatter between poses. What all poses share (friction that "
+    "differs by side or load, gains that are off) is not in them: on the mock with all effects "
+    "they hold about half of the true values."
+)

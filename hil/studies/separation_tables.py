@@ -13,9 +13,19 @@ from hil.core import BoolArray, FloatArray
 from hil.data import correlation, rmse
 from hil.estimators import HONEST, PAPER_PROTOCOL, Method
 from hil.studies.figure import Figure
-from hil.studies.result import Part, Table, Value
+from hil.studies.result import (
+    Part,
+    Table,
+    Value,
+    joint_titles,
+    layout_name,
+    listed,
+    mean_of,
+    value,
+    values,
+    with_mean,
+)
 from hil.studies.separation_data import Recording, mean_noise, pose_key, sample_noise
-from hil.studies.separation_figures import joint_angles
 from hil.studies.separation_honest import (
     METHOD_KEYS,
     SHORT,
@@ -25,18 +35,9 @@ from hil.studies.separation_honest import (
     gravity_of,
 )
 from hil.studies.separation_paper import METHODS, Layout, PaperRun
-from hil.studies.separation_text import (
-    joint_titles,
-    layout_name,
-    listed,
-    mean_of,
-    value,
-    values,
-    with_mean,
-)
 
 
-def data_part(recording: Recording, *, figures: bool) -> Part:
+def data_part(recording: Recording, figures: tuple[Figure, ...]) -> Part:
     """What was recorded."""
     dwells = recording.dwells
     poses = len({pose_key(condition) for condition in dwells.conditions})
@@ -52,8 +53,7 @@ def data_part(recording: Recording, *, figures: bool) -> Part:
         "From the scatter of the samples within their dwell; an error that all samples of a dwell "
         "share does not show in it.",
     )
-    drawn = (joint_angles(recording.whole),) if figures else ()
-    return Part("The recording", "", (text,), (table,), drawn)
+    return Part("The recording", "", (text,), (table,), figures)
 
 
 PROTOCOL = f"{PAPER_PROTOCOL}, and samples of every pose are on both sides of the split"

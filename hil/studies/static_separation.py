@@ -19,7 +19,7 @@ from hil.networks import Mlp
 from hil.studies.base import Progress, Study, silent, subset
 from hil.studies.result import Part, StudyResult
 from hil.studies.separation_data import NEEDS, Recording, recording_of
-from hil.studies.separation_drawn import honest_figures, paper_figures
+from hil.studies.separation_figures import honest_figures, joint_angles, paper_figures
 from hil.studies.separation_honest import METHOD_KEYS, HonestProtocol, bands, known_methods
 from hil.studies.separation_paper import NetworkSettings, PaperProtocol
 from hil.studies.separation_tables import (
@@ -170,11 +170,12 @@ class StaticSeparation(Study):
         tasks = [task for own, _ in followed for task in own]
         results = iter(run_tasks(tasks, self.jobs or cores(), "fits and trainings", progress))
         shown = [show([next(results) for _ in own]) for own, show in followed]
+        angles = (joint_angles(recording.whole),) if self.figures else ()
         return StudyResult(
             self.study,
             "Static friction separation, as printed and honestly",
             tuple(sentence for one in shown for sentence in one.summary),
-            (data_part(recording, figures=self.figures), *(one.part for one in shown)),
+            (data_part(recording, angles), *(one.part for one in shown)),
             self.get_params(),
             warnings=(*notes, *(note for one in shown for note in one.notes)),
         )

@@ -14,8 +14,7 @@ from typing import Any
 
 from hil.core import DataError, FitError
 from hil.estimators import json_bytes, write_whole
-from hil.studies.result import StudyResult
-from hil.studies.soundness import faults_of
+from hil.studies.result import StudyResult, faults_of
 
 STUDY_FORMAT = 1
 STUDIES = "study"

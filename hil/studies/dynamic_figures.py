@@ -8,7 +8,7 @@ import numpy as np
 
 from hil.studies.dynamic_methods import METHODS, Found
 from hil.studies.figure import Curve, Figure, Panel
-from hil.studies.separation_text import joint_titles
+from hil.studies.result import joint_titles
 
 MOST_LINES = 4
 """Models beside the measured torque; more hide each other."""
@@ -29,6 +29,10 @@ def torques(found: Found, key: str) -> Figure:
     return Figure(key, "Measured and predicted joint torques", caption, tuple(panels), 2)
 
 
+def _floats(values: np.ndarray) -> tuple[float, ...]:
+    return tuple(float(value) for value in values)
+
+
 def by_protocol(found: Sequence[Found]) -> Figure:
     """Mean RMSE of every method, one set of bars per protocol."""
     curves = [
@@ -44,7 +48,3 @@ def by_protocol(found: Sequence[Found]) -> Figure:
     panel = Panel("Mean over the joints", "method", "RMSE [N·m]", tuple(curves))
     caption = "Bars: standard deviation over the splits."
     return Figure("fig-protocols", "Errors by protocol", caption, (panel,), 1)
-
-
-def _floats(values: np.ndarray) -> tuple[float, ...]:
-    return tuple(float(value) for value in values)

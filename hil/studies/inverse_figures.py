@@ -10,12 +10,13 @@ from hil.core import FloatArray
 from hil.studies.figure import Curve, Figure, Panel
 from hil.studies.inverse_fits import Found, Shown, evenly
 from hil.studies.inverse_tables import carried, under
-from hil.studies.separation_text import joint_titles
+from hil.studies.result import joint_titles
 
 OVER_TIME = ("irls", "proposed", "rc-motion", "ours", "ours-residual")
 """Rows drawn beside the measured torque, as far as they are there; more hide each other."""
 
 FRICTION = ("proposed", "delan-coulomb", "ours")
+
 BARS = (
     "irls", "delan-dissipative", "delan-coulomb", "proposed", "rc-paper", "rc-motion", "rc-grouped",
     "ours-residual",
@@ -23,6 +24,7 @@ BARS = (
 """As many as there are colours; Method 4 would flatten the others. Tables have them all."""
 
 CORRECTED = ("rc-paper", "rc-motion", "rc-grouped")
+
 MOST_EPOCHS = 150
 """Points of a learning curve; longer ones are thinned."""
 
@@ -40,6 +42,18 @@ def torques(found: Found, key: str) -> Figure:
         panels.append(Panel(title, "time [s]", "torque [N·m]", tuple(curves)))
     caption = "Filtered torque of the first judged trajectory, first seed (Fig. 4 of the paper)."
     return Figure(key, "Measured and predicted joint torques", caption, tuple(panels), 2)
+
+
+def _some(wanted: Sequence[str], there: Collection[str]) -> list[str]:
+    return [name for name in wanted if name in there] or list(there)[: len(BARS)]
+
+
+def _line(name: str, x: FloatArray, y: FloatArray, *, points: bool = False) -> Curve:
+    return Curve(name, _floats(x), _floats(y), "points" if points else "line")
+
+
+def _floats(values: FloatArray) -> tuple[float, ...]:
+    return tuple(float(value) for value in values)
 
 
 def friction(found: Found, key: str) -> Figure | None:
@@ -61,6 +75,10 @@ def friction(found: Found, key: str) -> Figure | None:
         f"“{found.words(chosen[0])}”; a constant may be part of friction or of gravity."
     )
     return Figure(key, "Friction against velocity", caption, tuple(panels), 2)
+
+
+def _shown(found: Found, name: str) -> Shown:
+    return found.scores[name][0].shown
 
 
 def residuals(found: Found, key: str) -> Figure | None:
@@ -134,19 +152,3 @@ def learning(found: Found, key: str) -> Figure | None:
     if not panels:
         return None
     return Figure(key, "Learning curves", "First seed.", tuple(panels), 2)
-
-
-def _shown(found: Found, name: str) -> Shown:
-    return found.scores[name][0].shown
-
-
-def _some(wanted: Sequence[str], there: Collection[str]) -> list[str]:
-    return [name for name in wanted if name in there] or list(there)[: len(BARS)]
-
-
-def _line(name: str, x: FloatArray, y: FloatArray, *, points: bool = False) -> Curve:
-    return Curve(name, _floats(x), _floats(y), "points" if points else "line")
-
-
-def _floats(values: FloatArray) -> tuple[float, ...]:
-    return tuple(float(value) for value in values)
