@@ -24,7 +24,7 @@ from benchmarks.prediction.runtimes import timed_runtimes
 from hil.control.predictor import Predictor
 from hil.dynamics import load_model
 from hil.estimators.base import RobotEstimator
-from hil.export.c_build import compiler
+from hil.export.c_compiler import compiler
 
 CALLS, QUICK_CALLS = 100_000, 2_000
 SLOW_SHARE = 20

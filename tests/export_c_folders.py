@@ -13,9 +13,9 @@ from synthetic_motion import nominal
 
 from hil.estimators import estimator
 from hil.estimators.base import RobotEstimator
-from hil.export.c_columns import GROUPS
-from hil.export.c_export import export_c
+from hil.export.c import export_c
 from hil.export.exported import Exported
+from hil.export.program import GROUPS
 
 KINDS = ("friction with memory", "residual network", "Lagrangian network")
 COMPILERS = ("gcc", "clang")

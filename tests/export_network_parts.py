@@ -6,8 +6,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from hil.export.c_network import network_piece
-from hil.export.c_program_text import RESTRICT
+from hil.export.c import network_piece
 from hil.networks.residual_data import InputScales, NetworkInputs, ResidualSettings, group_shape
 from hil.networks.residual_network import CorrectedStream
 from hil.networks.residual_selection import Correction
@@ -126,7 +125,8 @@ def built(networks: Correction, folder, main=STEPS, flags=("-O2",)):
     source = (
         "#include <stdio.h>\n#include <stdlib.h>\n"
         f"#define HIL_N {n}\ntypedef struct {{\n{piece.state or 'int nothing;'}\n}} hil_state;\n"
-        f"{RESTRICT}{piece.constants}\n{piece.functions}\n{main.replace('RESET', piece.reset)}"
+        f"#define HIL_RESTRICT restrict\n{piece.constants}\n{piece.functions}\n"
+        + main.replace("RESET", piece.reset)
     )
     (folder / "network.c").write_text(source)
     program = folder / "network"

@@ -10,7 +10,7 @@ import pytest
 
 from hil.cli.benchmarking import measure
 from hil.core.errors import FitError
-from hil.export.c_build import compiler
+from hil.export.c_compiler import compiler
 
 pytest.importorskip("torch", reason="torch is not installed")
 

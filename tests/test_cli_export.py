@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from hil.cli.app import app
 from hil.core.errors import HilError, RecordingError, SpecError
 from hil.estimators import estimator, save_model
-from hil.export.c_build import compiler
+from hil.export.c_compiler import compiler
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 

@@ -19,9 +19,7 @@ from hil.core.errors import FitError, RecordingError
 from hil.dynamics import RobotModel
 from hil.dynamics.inertial import is_consistent
 from hil.estimators.rigid_linear import RigidWls
-from hil.export.identified_urdf import export_urdf
-from hil.export.urdf_edit import edited
-from hil.export.urdf_text import roll_pitch_yaw
+from hil.export.urdf import edited, export_urdf, roll_pitch_yaw
 
 COVERED = """<?xml version="1.0"?>
 <robot name="two &amp; more"><!-- kept -->
@@ -183,7 +181,7 @@ def test_the_command_tells_what_is_in_the_file(
     exported, model, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, as_json: bool
 ) -> None:
     out = tmp_path / "r.urdf"
-    monkeypatch.setattr("hil.export.identified_urdf.export_urdf", lambda *_, **__: exported)
+    monkeypatch.setattr("hil.export.urdf.export_urdf", lambda *_, **__: exported)
     folder = model.save(tmp_path / "model")
     arguments = ["export", str(folder), "--to", "urdf", "-o", str(out)]
     arguments += ["--json"] if as_json else []

@@ -16,10 +16,10 @@ from hil.control.predictor import Predictor
 from hil.core.errors import DataError, FitError, PluginError, SpecError
 from hil.estimators import estimator
 from hil.estimators.base import prepared
-from hil.export.c_build import compiler
-from hil.export.c_program import c_source
-from hil.export.golden import motion
-from hil.export.reading import NotExported
+from hil.export.agreement import motion
+from hil.export.c import c_source
+from hil.export.c_compiler import compiler
+from hil.export.program import NotExported
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 Q, QD, QDD = motion(nominal(), 200, 250.0)

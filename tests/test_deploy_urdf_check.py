@@ -18,8 +18,8 @@ from hil.dynamics import RobotModel
 from hil.dynamics.inertial import about_centre, body_parameters
 from hil.estimators import estimator
 from hil.estimators.rigid_linear import RigidWls
-from hil.export import identified_parameters, identified_urdf, urdf_text
-from hil.export.identified_urdf import export_urdf
+from hil.export import identified_parameters, urdf
+from hil.export.urdf import export_urdf
 
 WALL = (9.81, 0.0, 0.0)
 
@@ -50,7 +50,7 @@ def swapped(honest):
 def test_a_file_that_says_something_else_is_not_written(
     name, bent, words, model, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(urdf_text, name, bent(getattr(urdf_text, name)))
+    monkeypatch.setattr(urdf, name, bent(getattr(urdf, name)))
     with pytest.raises(FitError, match=words):
         export_urdf(model, tmp_path / "a.urdf")
     assert list(tmp_path.iterdir()) == []
@@ -142,7 +142,7 @@ def test_joints_that_slide_are_told_in_their_units(tmp_path: Path) -> None:
 def test_models_of_arms_at_rest_are_told_where_to_go(tmp_path: Path) -> None:
     still = estimator("static-wls").fit(dwelling(80), nominal())
     with pytest.raises(FitError, match="does not tell gravity and inertia apart") as refused:
-        identified_urdf.export_urdf(still, tmp_path / "a.urdf")
+        urdf.export_urdf(still, tmp_path / "a.urdf")
     assert "--to json" in str(refused.value.hint)
 
 

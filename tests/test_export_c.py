@@ -13,13 +13,10 @@ from synthetic_motion import moving, nominal
 from hil.core.errors import FitError, PluginError, RecordingError, SpecError
 from hil.estimators import estimator
 from hil.estimators.friction_library import groups
-from hil.export.c_build import STRICT, built, compiler, self_tested
-from hil.export.c_columns import GROUPS
-from hil.export.c_export import export_c
-from hil.export.c_program import c_source
-from hil.export.c_text import array, number
-from hil.export.golden import golden_of
-from hil.export.reading import program_of
+from hil.export.agreement import golden_of
+from hil.export.c import array, c_source, export_c, number
+from hil.export.c_compiler import STRICT, built, compiler, self_tested
+from hil.export.program import GROUPS, program_of
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 

@@ -7,10 +7,10 @@ import pytest
 from export_arms import ARMS, fitted_arm
 
 from hil.control.predictor import Predictor
-from hil.export.c_build import compiler
-from hil.export.c_export import export_c
-from hil.export.golden import LOAD, motion
-from hil.export.reading import program_of
+from hil.export.agreement import LOAD, motion
+from hil.export.c import export_c
+from hil.export.c_compiler import compiler
+from hil.export.program import program_of
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 

@@ -8,11 +8,9 @@ import pytest
 from export_arms import TURNED, fitted_robot, from_text
 
 from hil.control.predictor import Predictor
-from hil.export.c_build import STRICT, asked, compiler
-from hil.export.c_export import export_c
-from hil.export.c_program import c_source
-from hil.export.c_text import comment
-from hil.export.reading import program_of
+from hil.export.c import c_source, comment, export_c
+from hil.export.c_compiler import STRICT, asked, compiler
+from hil.export.program import program_of
 
 ODD = ("z*/int x;/*", "/*", "two\nlines", "??/", "behind\\", "a\\\n*/", "\u2028*/", "Gelenk ä")
 

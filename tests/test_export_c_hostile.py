@@ -6,7 +6,7 @@ import pytest
 from export_c_folders import COMPILERS, KINDS, SANITIZED, compiled, written
 from export_c_fuzz import FUZZ
 
-from hil.export.c_build import compiler
+from hil.export.c_compiler import compiler
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 

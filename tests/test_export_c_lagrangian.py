@@ -16,11 +16,10 @@ from lagrangian_models import CASES, QUICK, lagrangian
 from hil.control.predictor import Predictor
 from hil.core.errors import FitError
 from hil.estimators import estimator
-from hil.export.c_build import STRICT, built, compiler, self_tested
-from hil.export.c_export import export_c
-from hil.export.c_program import c_source
-from hil.export.golden import motion
-from hil.export.reading import program_of
+from hil.export.agreement import motion
+from hil.export.c import c_source, export_c
+from hil.export.c_compiler import STRICT, built, compiler, self_tested
+from hil.export.program import program_of
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 

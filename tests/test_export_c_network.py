@@ -17,7 +17,7 @@ from export_network_parts import (
 )
 
 from hil.core.errors import FitError
-from hil.export.c_network import network_piece
+from hil.export.c import network_piece
 
 KINDS = {
     "grouped": {"split": False},

@@ -14,9 +14,9 @@ from export_c_folders import fitted
 from json_models import fitted as small
 
 from hil.core.errors import SpecError
-from hil.export.c_build import STRICT, asked, compiler
-from hil.export.c_program import TAKEN, c_source
-from hil.export.reading import program_of
+from hil.export.c import TAKEN, c_source
+from hil.export.c_compiler import STRICT, asked, compiler
+from hil.export.program import program_of
 
 KINDS = (
     "rigid-wls", "rigid-wls hard", "rigid-irls", "rigid-diffnea power", "rigid-diffnea memory",

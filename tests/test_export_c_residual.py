@@ -9,9 +9,9 @@ from synthetic_motion import nominal
 pytest.importorskip("torch", reason="torch is not installed")
 
 from hil.core.errors import FitError
-from hil.export.c_build import compiler
-from hil.export.c_export import export_c
-from hil.export.reading import program_of
+from hil.export.c import export_c
+from hil.export.c_compiler import compiler
+from hil.export.program import program_of
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from export_c_folders import fitted, written
 
-from hil.export.c_build import compiler
-from hil.export.golden import golden_of
-from hil.export.reading import program_of
-from hil.export.tolerances import DOUBLE, SINGLE, closeness, precision
+from hil.export.agreement import DOUBLE, SINGLE, closeness, golden_of, precision
+from hil.export.c_compiler import compiler
+from hil.export.program import program_of
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 

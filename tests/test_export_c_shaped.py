@@ -10,9 +10,9 @@ from synthetic_motion import moving, nominal
 from hil.core.errors import FitError
 from hil.estimators import estimator
 from hil.estimators.diffnea_friction import FORMS
-from hil.export.c_build import built, compiler, self_tested
-from hil.export.c_export import export_c
-from hil.export.reading import program_of
+from hil.export.c import export_c
+from hil.export.c_compiler import built, compiler, self_tested
+from hil.export.program import program_of
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 

@@ -10,8 +10,7 @@ import pytest
 from export_c_folders import COMPILERS, KINDS, compiled, written
 from export_c_stack import STACK
 
-from hil.export.c_build import compiler
-from hil.export.c_size import stack_bytes
+from hil.export.c_compiler import compiler, stack_bytes
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 

@@ -13,9 +13,9 @@ from synthetic_motion import nominal
 from hil.control.compiled import CompiledProgram, Pointer
 from hil.estimators import estimator
 from hil.estimators.base import prepared
-from hil.export.c_build import compiler
-from hil.export.c_program import c_source
-from hil.export.reading import program_of
+from hil.export.c import c_source
+from hil.export.c_compiler import compiler
+from hil.export.program import program_of
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 GROUPS = ["core", "load", "temperature"]

@@ -29,14 +29,19 @@ from hil.estimators import estimator, load_model_file, save_model
 from hil.estimators.base import GROUP
 from hil.estimators.friction_library import groups
 from hil.estimators.model_file import json_bytes
-from hil.export import json_check, json_columns, json_friction, json_parameters, json_read
-from hil.export.golden import LOAD
+from hil.export import json_check, json_export, json_reader
+from hil.export.agreement import LOAD
 from hil.export.json_check import checked
-from hil.export.json_entries import Spread, of_base
-from hil.export.json_export import document_of, export_json
-from hil.export.json_read import rigid_torque
-from hil.export.json_robot import robot_part
-from hil.export.json_terms import adapted, library_term
+from hil.export.json_export import (
+    Spread,
+    adapted,
+    document_of,
+    export_json,
+    library_term,
+    of_base,
+    robot_part,
+)
+from hil.export.json_reader import rigid_torque
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGE = (DOCS / "reference" / "export-json.md").read_text("utf-8")
@@ -206,7 +211,7 @@ def test_estimators_from_elsewhere_have_their_numbers_told_and_nothing_more(monk
     class NotThis:
         pass
 
-    for module in (json_parameters, json_friction, json_check):
+    for module in (json_export, json_check):
         monkeypatch.setattr(module, "RigidLinear", NotThis)
     document = document_of(fitted("rigid-linear"))
     assert document["checked"].startswith("not compared: an estimator that this version of hil")
@@ -256,8 +261,7 @@ def test_a_model_that_is_not_fitted_is_refused(tmp_path: Path) -> None:
 
 def test_the_how_to_runs_as_it_stands_there_without_hil(tmp_path: Path) -> None:
     (tmp_path / "parameters.json").write_text(json.dumps(told("rigid-wls")), "utf-8")
-    for module in (json_read, json_columns):
-        shutil.copy(module.__file__, tmp_path)
+    shutil.copy(json_reader.__file__, tmp_path)
     blocks = re.findall(r"```python\n(.*?)```", HOW_TO, re.DOTALL)
     told_last = "\nimport sys; print(effort.tolist(), 'hil' in sys.modules)"
     script = "\n".join(blocks) + told_last

@@ -20,11 +20,9 @@ from onnx import TensorProto, helper  # noqa: E402
 
 from hil.core.errors import FitError, PluginError  # noqa: E402
 from hil.estimators import estimator  # noqa: E402
-from hil.export import onnx_export, onnx_graph  # noqa: E402
-from hil.export.agreement import load_row, streamed  # noqa: E402
-from hil.export.golden import LOAD, golden_of  # noqa: E402
-from hil.export.onnx_export import export_onnx, loaded  # noqa: E402
-from hil.export.onnx_graph import OPERATORS, nodes_of, require_plain  # noqa: E402
+from hil.export import onnx_export  # noqa: E402
+from hil.export.agreement import LOAD, golden_of, load_row, streamed  # noqa: E402
+from hil.export.onnx_export import OPERATORS, export_onnx, loaded, nodes_of, require_plain  # noqa: E402
 
 PAGE = (Path(__file__).parents[1] / "docs/how-to/export-onnx-torch.md").read_text("utf-8")
 
@@ -191,7 +189,7 @@ def test_shapes_that_data_make_are_refused(name, known, monkeypatch) -> None:
     """The operators are not among those that may be; and if they were, the shape would tell."""
     if known:
         more = OPERATORS | {"Expand", "Unique", "ReduceMax"}
-        monkeypatch.setattr(onnx_graph, "OPERATORS", more)
+        monkeypatch.setattr(onnx_export, "OPERATORS", more)
     size = [
         helper.make_node("Cast", ["x"], ["i"], to=TensorProto.INT64),
         helper.make_node("ReduceMax", ["i"], ["k"], keepdims=0),

@@ -11,9 +11,8 @@ from synthetic_motion import dwelling, moving, nominal
 
 from hil.core.errors import FitError, PluginError, RecordingError
 from hil.estimators import estimator
-from hil.export import mlp_export
-from hil.export.mlp_export import export_onnx_mlp, onnxruntime_says
-from hil.export.mlp_nets import Chain, chain_of
+from hil.export import onnx_mlp
+from hil.export.onnx_mlp import Chain, chain_of, export_onnx_mlp, onnxruntime_says
 
 pytestmark = pytest.mark.quick
 
@@ -171,7 +170,7 @@ def test_a_model_that_is_not_fitted_is_refused() -> None:
 def test_what_does_not_agree_is_not_written(tmp_path, monkeypatch) -> None:
     chain = chain_of(model := static(layers=[4, 4, 1]))
     bent = Chain(chain.layers, lambda q: 1.001 * chain.says(q), *_rest(chain))
-    monkeypatch.setattr(mlp_export, "chain_of", lambda _: bent)
+    monkeypatch.setattr(onnx_mlp, "chain_of", lambda _: bent)
     with pytest.raises(FitError, match="does not agree with the model"):
         export_onnx_mlp(model, tmp_path / "m.onnx")
     assert list(tmp_path.iterdir()) == []
@@ -182,7 +181,7 @@ def _rest(chain):
 
 
 def test_without_the_libraries_the_extra_is_named(tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(mlp_export, "LIBRARIES", ("onnx", "a_library_that_is_absent"))
+    monkeypatch.setattr(onnx_mlp, "LIBRARIES", ("onnx", "a_library_that_is_absent"))
     with pytest.raises(PluginError, match="a_library_that_is_absent, which is not installed"):
         export_onnx_mlp(static(layers=[4, 4, 1]), tmp_path / "m.onnx")
 

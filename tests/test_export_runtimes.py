@@ -16,10 +16,9 @@ from synthetic_motion import nominal  # noqa: E402
 
 from hil.arms.payload import Payload  # noqa: E402
 from hil.estimators import estimator, friction_library  # noqa: E402
-from hil.export.agreement import largest_difference, load_row, scale_of  # noqa: E402
-from hil.export.golden import Golden  # noqa: E402
+from hil.export.agreement import Golden, largest_difference, load_row, scale_of  # noqa: E402
 from hil.export.torch_export import export_torch  # noqa: E402
-from hil.export.torch_model import module_of  # noqa: E402
+from hil.export.torch_modules import module_of  # noqa: E402
 
 SLIDES = ["rad", "m", "rad"]
 

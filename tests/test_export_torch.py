@@ -22,15 +22,11 @@ from hil.core.errors import FitError, PluginError, RecordingError  # noqa: E402
 from hil.dynamics import RobotModel  # noqa: E402
 from hil.estimators import estimator  # noqa: E402
 from hil.export import torch_export  # noqa: E402
-from hil.export.agreement import largest_difference, load_row  # noqa: E402
-from hil.export.golden import LOAD, golden_of  # noqa: E402
-from hil.export.golden import motion as golden_motion  # noqa: E402
-from hil.export.program import bodies  # noqa: E402
-from hil.export.reading import flange_in_last_joint  # noqa: E402
+from hil.export.agreement import LOAD, golden_of, largest_difference, load_row  # noqa: E402
+from hil.export.agreement import motion as golden_motion  # noqa: E402
+from hil.export.program import bodies, flange_in_last_joint  # noqa: E402
 from hil.export.torch_export import export_torch, pickles  # noqa: E402
-from hil.export.torch_model import module_of  # noqa: E402
-from hil.export.torch_network import StreamingTcn  # noqa: E402
-from hil.export.torch_rigid import RigidTorque  # noqa: E402
+from hil.export.torch_modules import RigidTorque, StreamingTcn, module_of  # noqa: E402
 
 PAGE = (Path(__file__).parents[1] / "docs/how-to/export-onnx-torch.md").read_text("utf-8")
 

@@ -13,10 +13,9 @@ from synthetic_motion import moving, nominal  # noqa: E402
 
 from hil.estimators import estimator  # noqa: E402
 from hil.estimators.diffnea_friction import FORMS  # noqa: E402
-from hil.export.agreement import largest_difference  # noqa: E402
-from hil.export.golden import golden_of  # noqa: E402
+from hil.export.agreement import golden_of, largest_difference  # noqa: E402
 from hil.export.torch_export import export_torch  # noqa: E402
-from hil.export.torch_model import module_of  # noqa: E402
+from hil.export.torch_modules import module_of  # noqa: E402
 
 
 def stepping(module):

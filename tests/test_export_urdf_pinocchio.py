@@ -16,7 +16,7 @@ import hil
 from hil.core.errors import FitError
 from hil.estimators import estimator
 from hil.estimators.base import RobotEstimator
-from hil.export.identified_urdf import UrdfExport, export_urdf
+from hil.export.urdf import UrdfExport, export_urdf
 
 SPEC = Path(__file__).parents[1] / "experiments" / "ci_fourier_2.yaml"
 EXACT = 1e-9

@@ -19,13 +19,18 @@ from hil.core.errors import FitError
 from hil.estimators import estimator
 from hil.estimators.base import RobotEstimator
 from hil.estimators.friction_library import column_names, groups
-from hil.export import json_check, json_rest
-from hil.export.golden import golden_of
+from hil.export import json_check
+from hil.export.agreement import golden_of
 from hil.export.json_check import comparisons, differences
-from hil.export.json_columns import CONSTANTS, column, friction_torque, symbols_of
-from hil.export.json_export import document_of
-from hil.export.json_read import rigid_torque, torque_per_effort
-from hil.export.json_terms import FORMS, NETWORK, library_term
+from hil.export.json_export import FORMS, NETWORK, document_of, library_term
+from hil.export.json_reader import (
+    CONSTANTS,
+    column,
+    friction_torque,
+    rigid_torque,
+    symbols_of,
+    torque_per_effort,
+)
 
 SAMPLES = 60
 HIDDEN = {
@@ -89,7 +94,7 @@ def test_memory_stays_where_positions_go_against_the_velocity() -> None:
 def test_every_number_that_is_bent_is_noticed(kind: str, monkeypatch) -> None:
     model = fitted_or_skip(kind)
     monkeypatch.setattr(json_check, "golden_of", lambda one: golden_of(one, SAMPLES))
-    monkeypatch.setattr(json_rest, "SAMPLES", SAMPLES)
+    monkeypatch.setattr(json_check, "SAMPLES", SAMPLES)
     document = told(kind)[0]
     physics = getattr(model, "base_", model)
     compared = comparisons(physics, document)

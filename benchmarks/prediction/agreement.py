@@ -10,8 +10,7 @@ from hil.arms.payload import Payload
 from hil.control.predictor import Predictor
 from hil.core.errors import FitError
 from hil.estimators.base import RobotEstimator
-from hil.export.agreement import scale_of
-from hil.export.golden import AGREES, LOAD, golden_of
+from hil.export.agreement import AGREES, LOAD, golden_of, scale_of
 
 TIMED, OFF_BY = "_p50_ns", "_off_by"
 

@@ -11,8 +11,8 @@ import numpy as np
 from benchmarks.prediction.clock import told
 from hil.core.typing import FloatArray
 from hil.estimators.base import RobotEstimator
-from hil.export.c_build import asked, built
-from hil.export.c_export import export_c
+from hil.export.c import export_c
+from hil.export.c_compiler import asked, built
 
 FLAGS = {"portable": ("-O2",), "native": ("-O3", "-march=native")}
 
@@ -68,7 +68,7 @@ def build_of(how: str) -> str:
 
 
 def _self_tested(folder: Path, flags: tuple[str, ...]) -> str:
-    from hil.export.c_build import self_tested
+    from hil.export.c_compiler import self_tested
 
     return self_tested(folder, built(folder, ("hil_test.c", "hil.c"), "tested", flags))
 

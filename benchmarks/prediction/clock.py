@@ -9,7 +9,7 @@ import numpy as np
 
 from hil.core.typing import FloatArray
 from hil.dynamics import RobotModel
-from hil.export.golden import motion
+from hil.export.agreement import motion
 
 RATE_HZ = 1000.0
 FEWEST = 200

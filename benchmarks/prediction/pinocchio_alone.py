@@ -10,7 +10,7 @@ import pinocchio as pin
 from benchmarks.prediction.clock import timed, told
 from hil.core.typing import FloatArray
 from hil.dynamics import RobotModel
-from hil.export.golden import RATE_HZ, SAMPLES, motion
+from hil.export.agreement import RATE_HZ, SAMPLES, motion
 
 
 def timed_pinocchio(robot: RobotModel, calls: int) -> dict[str, float]:

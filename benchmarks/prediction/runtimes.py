@@ -19,11 +19,10 @@ from hil.arms.payload import Payload
 from hil.core.errors import FitError
 from hil.core.typing import FloatArray
 from hil.estimators.base import RobotEstimator
-from hil.export.agreement import Step, largest_difference, load_row
-from hil.export.golden import golden_of
+from hil.export.agreement import Step, golden_of, largest_difference, load_row
 
 if TYPE_CHECKING:
-    from hil.export.torch_model import TorchModel
+    from hil.export.torch_modules import TorchModel
 
 ONNX = ("onnx", "onnxscript", "onnxruntime")
 TOO_SLOW = "it takes long to write or to compile; left out of --quick"
@@ -35,7 +34,7 @@ def timed_runtimes(
     """Times and differences from the model by runtime, and which were left out and why."""
     import torch
 
-    from hil.export.torch_model import module_of
+    from hil.export.torch_modules import module_of
 
     try:
         traced = module_of(model)

@@ -1,19 +1,47 @@
-"""Whether a JSON document says what the model says: computed from its numbers alone."""
+"""Whether a JSON document says what the model says: computed from its numbers alone.
+
+Models of motion are compared by their efforts on the golden motion (see `hil.export.agreement`) and
+at low speeds, static models by gravity, drive and friction at rest; links and torques through the
+gears where there are some. What only a network knows is the model's own, and is said to be.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from hil.arms import Payload
 from hil.core import FitError, FloatArray
+from hil.data import POINTS, STEP_S
 from hil.dynamics import base_parameters
-from hil.estimators import RigidHysteresis, RigidLinear, RobotEstimator, StaticModel, motion_of
-from hil.export.golden import LOAD, RATE_HZ, golden_of
-from hil.export.json_columns import Document, friction_torque
-from hil.export.json_read import combined, links_of, rigid_torque, torque_per_effort
-from hil.export.json_rest import at_rest
+from hil.estimators import (
+    RigidHysteresis,
+    RigidLinear,
+    RobotEstimator,
+    StaticFriction,
+    StaticInverse,
+    StaticModel,
+    dwells_of,
+    estimator,
+    has_current,
+    motion_of,
+)
+from hil.export.agreement import LOAD, RATE_HZ, SAMPLES, golden_of, motion
+from hil.export.json_reader import (
+    Document,
+    combined,
+    friction_torque,
+    links_of,
+    of_joints,
+    paper_gravity,
+    rest_states,
+    rigid_torque,
+    torque_per_effort,
+)
 from hil.export.program import bodies
 from hil.networks import CorrectedModel, LagrangianModel
 
@@ -55,6 +83,16 @@ def checked(model: RobotEstimator, document: Document) -> str:
     return "; ".join([alone + ", ".join(told), *more] if told else more)
 
 
+def _not_compared(physics: RobotEstimator, document: Document) -> list[str]:
+    left_out = []
+    if document["networks"]:
+        left_out.append("networks, whose weights are not in the document")
+    groups: set[Any] = {one["group"] for one in document["parameters"]}
+    if not (groups - {"unknown"} or document["networks"]):
+        left_out.append("an estimator that this version of hil does not know")
+    return left_out
+
+
 def differences(
     physics: RobotEstimator, document: Document, compared: Sequence[Compared]
 ) -> list[str]:
@@ -77,13 +115,21 @@ def differences(
     return told
 
 
+def _difference(ours: FloatArray, theirs: FloatArray) -> float:
+    """Largest of any joint, as a share of the joint's largest; of all where it has none."""
+    largest = np.abs(theirs).max(axis=0)
+    whole = float(largest.max())
+    scale = np.where(largest > NOTHING * whole, largest, whole or 1.0)
+    return float(np.max(np.abs(ours - theirs) / scale))
+
+
 def comparisons(physics: RobotEstimator, document: Document) -> list[Compared]:
     """All that can be compared of a model, evaluated once; of the document what there is counts."""
     found: list[Compared] = []
     if isinstance(physics, RigidLinear | RigidHysteresis | LagrangianModel):
         found += _efforts(physics)
     elif isinstance(physics, StaticModel):
-        found += [Compared(*one) for one in at_rest(physics)]
+        found += _at_rest(physics)
     if isinstance(physics, LagrangianModel) and physics.intrinsic_:
         found.append(_curve(physics))
     gear = getattr(physics, "gear_rigid_", None)
@@ -92,14 +138,6 @@ def comparisons(physics: RobotEstimator, document: Document) -> list[Compared]:
     if document["links"]["values"] is not None:
         found += _links(physics)
     return found
-
-
-def _difference(ours: FloatArray, theirs: FloatArray) -> float:
-    """Largest of any joint, as a share of the joint's largest; of all where it has none."""
-    largest = np.abs(theirs).max(axis=0)
-    whole = float(largest.max())
-    scale = np.where(largest > NOTHING * whole, largest, whole or 1.0)
-    return float(np.max(np.abs(ours - theirs) / scale))
 
 
 def _efforts(physics: RobotEstimator) -> Iterator[Compared]:
@@ -112,13 +150,6 @@ def _efforts(physics: RobotEstimator) -> Iterator[Compared]:
     theirs = np.array([stream.step(*row) for row in zip(*slow, strict=True)])
     creeping = _computed(physics, slow)
     yield Compared("efforts at low speeds", theirs, lambda d: creeping(d, None))
-
-
-def _creeping(n: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """q, qd, qdd (N, n): speeds from 1e-8 rad/s up, both ways, as golden vectors hardly have."""
-    speed = np.repeat(np.geomspace(1e-8, 1.0, 33), 2) * np.tile([1.0, -1.0], 33)
-    qd = np.outer(speed, np.ones(n))
-    return np.cumsum(0.004 * qd, axis=0), qd, np.zeros_like(qd)
 
 
 def _computed(
@@ -139,6 +170,13 @@ def _computed(
         return (torque + friction) / torque_per_effort(document)
 
     return effort
+
+
+def _creeping(n: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """q, qd, qdd (N, n): speeds from 1e-8 rad/s up, both ways, as golden vectors hardly have."""
+    speed = np.repeat(np.geomspace(1e-8, 1.0, 33), 2) * np.tile([1.0, -1.0], 33)
+    qd = np.outer(speed, np.ones(n))
+    return np.cumsum(0.004 * qd, axis=0), qd, np.zeros_like(qd)
 
 
 def _curve(physics: LagrangianModel) -> Compared:
@@ -171,11 +209,96 @@ def _links(physics: RobotEstimator) -> Iterator[Compared]:
     yield Compared("base parameters as sums of those of links", sums, lambda d: combined(d)[:, 1:])
 
 
-def _not_compared(physics: RobotEstimator, document: Document) -> list[str]:
-    left_out = []
-    if document["networks"]:
-        left_out.append("networks, whose weights are not in the document")
-    groups: set[Any] = {one["group"] for one in document["parameters"]}
-    if not (groups - {"unknown"} or document["networks"]):
-        left_out.append("an estimator that this version of hil does not know")
-    return left_out
+CELSIUS = 40.0
+
+
+def _at_rest(model: StaticModel) -> Iterator[Compared]:
+    """What the model says at rest, and how the document says it, bare and with a load."""
+    q = motion(model.robot_, SAMPLES, RATE_HZ)[0]
+    for what, load in (("", None), (" with a load", LOAD)):
+        if load is not None and not model.knows_gains:
+            continue
+        if isinstance(model, StaticInverse):
+            yield _inverse(model, q, load, what)
+        else:
+            yield _linear(model, q, load, what)
+    if isinstance(model, StaticFriction):
+        levels = model.dry_friction()[None]
+        yield Compared("levels of dry friction", levels, _levels)
+        yield Compared("levels as told", levels, lambda d: _array(d, "level_nm"))
+
+
+def _inverse(model: StaticInverse, q: FloatArray, load: Payload | None, what: str) -> Compared:
+    """Eq. 16 with the model's currents gives the document's gravity, where there are such."""
+    effort = StaticModel.predict(model, dwells_of(model, q, load)).effort
+    k1, k2, k0 = model.constants_
+    held = (k2 * np.abs(effort) + k1) * effort + k0
+    there = has_current(held, k1, k2, k0)
+
+    def ours(document: Document) -> FloatArray:
+        k1, offset = torque_per_effort(document), of_joints(document, "offset")
+        k2 = of_joints(document, "square")
+        torque = (k2 * np.abs(effort) + k1) * effort - offset
+        return np.asarray((torque - _gravity(document, q, load)) * there + held)
+
+    return Compared(f"gravity of the currents by eq. 16{what}", held, ours)
+
+
+def _gravity(
+    document: Document, q: FloatArray, load: Payload | None, group: str = "gravity"
+) -> FloatArray:
+    """(N, n) torque of the arm at rest and of what is mounted [N·m]."""
+    still = np.zeros_like(q)
+    mounted = None if load is None else LOAD_ROW
+    if any("waves" in one for one in document["parameters"]):
+        return paper_gravity(document, q) + rigid_torque(document, q, still, still, "", mounted)
+    return rigid_torque(document, q, still, still, group, mounted)
+
+
+def _linear(model: StaticModel, q: FloatArray, load: Payload | None, what: str) -> Compared:
+    paths, current = _paths(q), np.cos(3.0 * q) * model.sigma_
+    data = dwells_of(model, q, load, effort=current, temperature=np.full_like(q, CELSIUS))
+    if isinstance(model, StaticFriction):
+        both = np.stack([paths, np.gradient(paths, STEP_S, axis=1)], axis=2)
+        told = _uncorrected(model).predict(replace(data, arrivals=both))
+    else:
+        # As every static model does: without networks, which are not in the document.
+        told = StaticModel.predict(model, data)
+
+    def ours(document: Document) -> FloatArray:
+        lengths = document["friction"]["constants"].get("lengths_rad", [])
+        known = {"i": current, "T": np.full_like(q, CELSIUS), **rest_states(paths, lengths)}
+        torque, through = _gravity(document, q, load), _gravity(document, q, load, "gear")
+        own = friction_torque(document, q, np.zeros_like(q), through, known)
+        return (torque + own) / torque_per_effort(document)
+
+    return Compared(f"efforts at rest{what}", told.effort, ours)
+
+
+def _paths(q: FloatArray) -> FloatArray:
+    """(N, K, n) ways into poses from both sides: parabolas, which smoothing leaves as they are."""
+    s = np.linspace(1.0, 0.0, POINTS)[None, :, None]
+    return np.asarray(1e-3 * np.sign(np.sin(5.0 * q))[:, None] * s * (1.4 * s - 0.4))
+
+
+def _uncorrected(model: StaticFriction) -> StaticFriction:
+    """The same without a correction that was learnt."""
+    plain = estimator(model.estimator, **model.get_params())
+    assert isinstance(plain, StaticFriction)
+    plain.robot_ = model.robot_
+    plain.restore(model.fitted_arrays(), model.fitted_facts() | {"correction_penalty": []})
+    return plain
+
+
+def _levels(document: Document) -> FloatArray:
+    """(1, n) from the parameters of Dahl's states."""
+    names = [joint["name"] for joint in document["robot"]["joints"]]
+    sums = np.zeros((1, len(names)))
+    for one in document["parameters"]:
+        if re.fullmatch("d|z[0-9]+", one["column"]):
+            sums[0, names.index(one["joint"])] += one["value"]
+    return np.abs(sums)
+
+
+def _array(document: Document, key: str) -> FloatArray:
+    return np.array([document["friction"][key]])

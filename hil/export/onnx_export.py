@@ -1,24 +1,31 @@
-"""A fitted model as one ONNX file: the module of `torch_model`, traced into standard operators."""
+"""A fitted model as one ONNX file: its PyTorch module, traced into standard operators.
+
+Small runtimes take little: few operators, fixed shapes but for the leading rows, no subgraph. So
+the traced graph is cleaned of what the tracer noted, and refused if anything else is left in it
+(`require_plain`).
+"""
 
 from __future__ import annotations
 
 import logging
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hil.core import FloatArray, plugins
+from hil.core import FitError, FloatArray, plugins
 from hil.estimators import RobotEstimator
-from hil.export.agreement import Step, require_agreement
+from hil.export.agreement import FAULT, Step, golden_of, require_agreement
 from hil.export.exported import Exported, require_new, write_file
-from hil.export.golden import golden_of
 from hil.export.torch_export import example_inputs, told_of
 
 if TYPE_CHECKING:
-    from hil.export.torch_model import TorchModel
+    import onnx
+
+    from hil.export.torch_modules import TorchModel
+
 
 OPSET = 20
 """TF3820 takes 21 at most."""
@@ -42,7 +49,7 @@ def export_onnx(model: RobotEstimator, out: Path) -> Exported:
     """
     require_new(out)
     require_onnx()
-    from hil.export.torch_model import module_of
+    from hil.export.torch_modules import module_of
 
     traced = module_of(model)
     content = graph(traced)
@@ -71,8 +78,6 @@ def graph(traced: TorchModel) -> bytes:
     """
     import torch
 
-    from hil.export.onnx_graph import cleaned, require_plain
-
     inputs = example_inputs(traced, 2)
     rows = torch.export.Dim("rows", min=1)
     taken, given = traced.names
@@ -92,6 +97,20 @@ def graph(traced: TorchModel) -> bytes:
     require_plain(found)
     content: bytes = found.SerializeToString()
     return content
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Without the tracer's word on torchvision and on its own deprecations."""
+    log = logging.getLogger("torch.onnx")
+    level = log.level
+    log.setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        log.setLevel(level)
 
 
 def nodes(content: bytes) -> int:
@@ -117,15 +136,115 @@ def loaded(content: bytes) -> Step:
     return step
 
 
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Without the tracer's word on torchvision and on its own deprecations."""
-    log = logging.getLogger("torch.onnx")
-    level = log.level
-    log.setLevel(logging.ERROR)
+ROWS = "rows"
+"""Name of the leading dimension, the only one that is not fixed."""
+
+NEWEST_OPSET, NEWEST_IR = 21, 10
+"""What TF3820 and an onnxruntime of its age load."""
+
+OPERATORS = frozenset({
+    "Abs", "Add", "Cast", "Concat", "Cos", "Div", "Exp", "Gemm", "Greater", "Log", "MatMul", "Max",
+    "Min", "Mul", "Neg", "Reciprocal", "ReduceSum", "Relu", "Reshape", "Sigmoid", "Sign", "Sin",
+    "Slice", "Softplus", "Split", "Sqrt", "Squeeze", "Sub", "Tanh", "Transpose", "Unsqueeze",
+    "Where",
+})  # fmt: skip
+"""All that exported graphs are made of: none gathers, scatters, branches or asks for shapes."""
+
+TRIED = (1, 3)
+"""Rows with which every shape has to follow from those of the inputs."""
+
+
+def cleaned(model: onnx.ModelProto, told: Mapping[str, str]) -> onnx.ModelProto:
+    """A copy that says what it is, and nothing of where and from which lines it was traced.
+
+    Args:
+        model: As it was traced.
+        told: Becomes `metadata_props`.
+    """
+    import onnx
+
+    found = onnx.ModelProto()
+    found.CopyFrom(model)
+    found.producer_name, found.producer_version = "hil", ""
+    graph = found.graph
+    graph.name = told["estimator"]
+    del graph.value_info[:]
+    for part in (found, graph, *graph.node, *graph.input, *graph.output, *graph.initializer):
+        del part.metadata_props[:]
+        part.doc_string = ""
+    for value in (*graph.input, *graph.output):
+        value.type.tensor_type.shape.dim[0].dim_param = ROWS
+    onnx.helper.set_model_props(found, dict(told))
+    return found
+
+
+def require_plain(model: onnx.ModelProto) -> None:
+    """Refuse a graph that is not valid, or not what restricted runtimes take.
+
+    Raises:
+        FitError: There is an operator of another domain or beyond `OPERATORS`, a subgraph, a format
+            that is too new, an input or output that is open but for its leading rows, or a shape
+            that is known no sooner than when it runs.
+    """
+    import onnx
+
+    strange = [function.name for function in model.functions]
+    strange += [opset.domain for opset in model.opset_import if opset.domain]
+    strange += [one.op_type for one in nodes_of(model.graph) if one.op_type not in OPERATORS]
+    strange += [f"opset {one.version}" for one in model.opset_import if one.version > NEWEST_OPSET]
+    strange += [f"format {model.ir_version}"] * (model.ir_version > NEWEST_IR)
+    if strange:
+        raise FitError(
+            f"the ONNX graph has what small runtimes lack: {', '.join(sorted(set(strange)))}",
+            hint=FAULT,
+        )
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
-    finally:
-        log.setLevel(level)
+        onnx.checker.check_model(model, full_check=True)
+        loose = open_ends(model)
+        for rows in TRIED:
+            loose += unknown_shapes(model, rows) if not loose else []
+    except (onnx.checker.ValidationError, onnx.shape_inference.InferenceError) as error:
+        raise FitError(f"the ONNX graph is not valid: {error}", hint=FAULT) from error
+    if loose:
+        raise FitError(
+            f"the ONNX graph has shapes that are not fixed: {', '.join(loose[:5])}", hint=FAULT
+        )
+
+
+def nodes_of(graph: onnx.GraphProto) -> Iterator[onnx.NodeProto]:
+    """All nodes, those of subgraphs among them."""
+    for node in graph.node:
+        yield node
+        for attribute in node.attribute:
+            for inner in (attribute.g, *attribute.graphs):
+                yield from nodes_of(inner)
+
+
+def open_ends(model: onnx.ModelProto) -> list[str]:
+    """Inputs and outputs with anything open but a leading dimension named `rows`."""
+    found = []
+    for value in (*model.graph.input, *model.graph.output):
+        first, *others = value.type.tensor_type.shape.dim or [None]
+        named = first is not None and first.dim_param == ROWS
+        if not named or any(one.dim_value < 1 for one in others):
+            found.append(value.name)
+    return found
+
+
+def unknown_shapes(model: onnx.ModelProto, rows: int) -> list[str]:
+    """Values whose shape does not follow from the inputs', with that many rows."""
+    import onnx
+
+    fixed = onnx.ModelProto()
+    fixed.CopyFrom(model)
+    del fixed.graph.value_info[:]
+    for value in (*fixed.graph.input, *fixed.graph.output):
+        value.type.tensor_type.shape.dim[0].dim_value = rows
+    inferred = onnx.shape_inference.infer_shapes(fixed, strict_mode=True, data_prop=True).graph
+    known = {
+        value.name
+        for value in (*inferred.value_info, *inferred.output)
+        if value.type.tensor_type.HasField("shape")
+        and all(one.dim_value > 0 for one in value.type.tensor_type.shape.dim)
+    }
+    return [name for node in inferred.node for name in node.output if name not in known]

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from hil.core import AnyPath, DataError, SpecError, did_you_mean, path_of
 
 if TYPE_CHECKING:
     from hil.estimators import RobotEstimator
+    from hil.export.exported import Exported
 
 TARGETS = {
-    "c": ("hil.export.c_export", "export_c"),
-    "urdf": ("hil.export.identified_urdf", "export_urdf"),
+    "c": ("hil.export.c", "export_c"),
+    "urdf": ("hil.export.urdf", "export_urdf"),
     "onnx": ("hil.export.onnx_export", "export_onnx"),
     "torch": ("hil.export.torch_export", "export_torch"),
-    "onnx-mlp": ("hil.export.mlp_export", "export_onnx_mlp"),
+    "onnx-mlp": ("hil.export.onnx_mlp", "export_onnx_mlp"),
     "json": ("hil.export.json_export", "export_json"),
 }
 """Name → module and function; imported when it is asked for, as some need heavy libraries."""
@@ -36,17 +37,6 @@ OPTIONS = {"c": ("prefix", "unchecked"), "urdf": ("unchecked",)}
 """What else a target takes."""
 
 
-class Written(Protocol):
-    """What an export returns."""
-
-    @property
-    def out(self) -> Path:
-        """The file or folder that was made."""
-
-    def to_dict(self) -> dict[str, Any]:
-        """For `--json`."""
-
-
 def export_model(
     model: AnyPath,
     out: AnyPath,
@@ -54,7 +44,7 @@ def export_model(
     to: str = "c",
     prefix: str | None = None,
     unchecked: bool | None = None,
-) -> Written:
+) -> Exported:
     """Write a saved model for other programs, compared with the model in Python first.
 
     Args:
@@ -77,7 +67,7 @@ def export_model(
     return written_as(load_model_file(path_of(model)), path_of(out), to, **given)
 
 
-def written_as(model: RobotEstimator, out: Path, to: str, **options: Any) -> Written:
+def written_as(model: RobotEstimator, out: Path, to: str, **options: Any) -> Exported:
     """Write a fitted model as one of `TARGETS`.
 
     Args:
@@ -104,7 +94,7 @@ def written_as(model: RobotEstimator, out: Path, to: str, **options: Any) -> Wri
     module, name = TARGETS[to]
     export = getattr(import_module(module), name)
     try:
-        written: Written = export(model, out, **given)
+        written: Exported = export(model, out, **given)
     except DAMAGED as error:
         raise DataError(
             f"{model.estimator} cannot be written as {to}: {error}",

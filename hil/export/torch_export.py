@@ -1,4 +1,7 @@
-"""A fitted model as one `.pt2` file for PyTorch, traced: it holds a graph and numbers, no code."""
+"""A fitted model as one `.pt2` file for PyTorch, traced: it holds a graph and numbers, no code.
+
+The modules themselves are in `hil.export.torch_modules`, which imports PyTorch.
+"""
 
 from __future__ import annotations
 
@@ -12,12 +15,12 @@ from typing import TYPE_CHECKING, Any
 
 from hil.core import FitError, FloatArray, plugins
 from hil.estimators import RobotEstimator
-from hil.export.agreement import Step, require_agreement
+from hil.export.agreement import Step, golden_of, require_agreement
 from hil.export.exported import Exported, effort_unit, require_new, write_file
-from hil.export.golden import golden_of
 
 if TYPE_CHECKING:
-    from hil.export.torch_model import TorchModel
+    from hil.export.torch_modules import TorchModel
+
 
 TOLD = "hil.json"
 """The extra file with what has to be known to call the program."""
@@ -38,7 +41,7 @@ def export_torch(model: RobotEstimator, out: Path) -> Exported:
     require_new(out)
     if find_spec("torch") is None:
         raise plugins.not_installed("--to torch", ["torch"], "learn")
-    from hil.export.torch_model import module_of
+    from hil.export.torch_modules import module_of
 
     traced = module_of(model)
     content = archive(traced)

@@ -1,4 +1,7 @@
-"""A C compiler, where there is one: programs are checked before anybody relies on them."""
+"""A C compiler: programs are built and run before anybody relies on them.
+
+Also how much stack a program takes at most, which a task on a controller has to be given.
+"""
 
 from __future__ import annotations
 
@@ -68,6 +71,24 @@ def built(folder: Path, files: Sequence[str], out: str, flags: Sequence[str] = (
     return folder / out
 
 
+def _compiled(
+    folder: Path, files: Sequence[str], out: str, flags: Sequence[str]
+) -> subprocess.CompletedProcess[str]:
+    return _run([*require_compiler(), *flags, *files, "-lm", "-o", out], folder)
+
+
+def _run(command: Sequence[str], folder: Path) -> subprocess.CompletedProcess[str]:
+    try:
+        return subprocess.run(  # noqa: S603  # a compiler, and what it just built
+            command, cwd=folder, capture_output=True, text=True, timeout=LONGEST_S, check=False
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise FitError(
+            f"{command[0]} cannot be run: {error}",
+            hint="install gcc or clang, or name a compiler: CC=…; --unchecked leaves the check out",
+        ) from error
+
+
 def _require_works(flags: Sequence[str]) -> None:
     """Refuse a compiler that cannot even make a program that does nothing."""
     with tempfile.TemporaryDirectory() as name:
@@ -80,12 +101,6 @@ def _require_works(flags: Sequence[str]) -> None:
         f"{shlex.join(require_compiler())} does not compile: {done.stderr.strip()[:300]}",
         hint="name a C compiler that makes programs for this machine with CC=…",
     )
-
-
-def _compiled(
-    folder: Path, files: Sequence[str], out: str, flags: Sequence[str]
-) -> subprocess.CompletedProcess[str]:
-    return _run([*require_compiler(), *flags, *files, "-lm", "-o", out], folder)
 
 
 def self_tested(folder: Path, program: Path) -> str:
@@ -114,13 +129,54 @@ def asked(arguments: Sequence[str], folder: Path) -> subprocess.CompletedProcess
     return _run([*require_compiler(), *arguments], folder)
 
 
-def _run(command: Sequence[str], folder: Path) -> subprocess.CompletedProcess[str]:
-    try:
-        return subprocess.run(  # noqa: S603  # a compiler, and what it just built
-            command, cwd=folder, capture_output=True, text=True, timeout=LONGEST_S, check=False
-        )
-    except (OSError, subprocess.TimeoutExpired) as error:
-        raise FitError(
-            f"{command[0]} cannot be run: {error}",
-            hint="install gcc or clang, or name a compiler: CC=…; --unchecked leaves the check out",
-        ) from error
+FRAMES = "-fstack-usage"
+
+
+def stack_bytes(folder: Path, prefix: str, flags: Sequence[str] = (PORTABLE,)) -> int | None:
+    """Bytes that any call of the program takes, without what `math.h` takes of its own.
+
+    No function of a program calls itself or is called through a pointer, so the frames of those
+    inside and the largest of those outside add up to at least what any call can need.
+
+    Args:
+        folder: Holds the program.
+        prefix: Of its files.
+        flags: Of the compiler.
+
+    Returns:
+        None where the compiler does not tell, or a frame has no largest size.
+
+    Raises:
+        PluginError: There is no compiler.
+    """
+    compiled = ("-std=c99", *flags, FRAMES, "-c", f"{prefix}.c", "-o", "stack.o")
+    if asked(compiled, folder).returncode:
+        return None
+    outside, inside = [0], [0]
+    for file in folder.glob("*.su"):
+        for line in file.read_text("utf-8").splitlines():
+            place, size, kind = line.split("\t")
+            if kind == "dynamic":
+                return None
+            function = place.rpartition(":")[2]
+            (outside if function in _called(prefix) else inside).append(int(size))
+    return max(outside) + sum(inside) or None
+
+
+def _called(prefix: str) -> tuple[str, ...]:
+    return tuple(f"{prefix}_{name}" for name in ("step", "reset", "set_load"))
+
+
+def size_note(folder: Path, prefix: str, state: str) -> str:
+    """For people: stack and state, and what they were measured with.
+
+    Args:
+        folder: Holds the program.
+        prefix: Of its files.
+        state: What the self-test says of the state.
+    """
+    stack = stack_bytes(folder, prefix)
+    frames = "" if stack is None else f"at most {stack} bytes of stack beside math.h's own, "
+    told = asked(("--version",), folder).stdout.partition("\n")[0]
+    machine = asked(("-dumpmachine",), folder).stdout.strip()
+    return f"{frames}{state} ({', '.join(filter(None, (told, PORTABLE, machine)))})"

@@ -1,26 +1,153 @@
-"""Which models are, or hold, a chain of fully connected layers that begins with the positions.
+"""A chain of fully connected layers as ONNX, for runtimes that know nothing else (TwinCAT TF38x0).
 
-Runtimes for such chains know no products of what they computed, no convolution and no memory, so
-this is never a whole dynamics: of `static-mlp-lm` it is the friction, of `lagrangian` what its
-torque is the derivative of.
+One input, one `Gemm` after another with an activation between, one output: float32, an old opset,
+scaling folded into the first and the last layer. Such runtimes know no products of what they
+computed, no convolution and no memory, so this is never a whole dynamics: of `static-mlp-lm` it is
+the friction, of `lagrangian` what its torque is the derivative of.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.linalg import block_diag
 
-from hil.core import BoolArray, FitError, FloatArray
+from hil.core import BoolArray, FitError, FloatArray, plugins
 from hil.estimators import RobotEstimator
-from hil.export.exported import effort_unit
-from hil.export.lagrangian_terms import LagrangianTerms, lagrangian_terms
+from hil.export.agreement import AGREES, FAULT, RATE_HZ, SAMPLES, motion, scale_of
+from hil.export.exported import Exported, effort_unit, require_new, write_file
+from hil.export.program import LagrangianTerms, lagrangian_terms
 from hil.networks import LagrangianModel, StaticMlpLm, position_inputs, positions_only
+
+OPSET, IR_VERSION = 13, 7
+"""The oldest that have every operator as it is used here: converters lag behind ONNX."""
+
+LIBRARIES = ("onnx", "onnxruntime")
+
+
+def export_onnx_mlp(model: RobotEstimator, out: Path) -> Exported:
+    """Write what is a chain of fully connected layers in a model, after onnxruntime has agreed.
+
+    Input `q` (rows, n) [rad]; outputs (rows, m) with names and units in the file's metadata.
+
+    Args:
+        model: Fitted: `static-mlp-lm` (its friction) or `lagrangian` (its trunk).
+        out: File to be made.
+
+    Raises:
+        FitError: The model holds no such chain, or the file does not agree with it.
+        PluginError: onnx or onnxruntime is not installed.
+        RecordingError: The file exists already, or cannot be made.
+    """
+    require_new(out)
+    chain = chain_of(model)
+    if missing := [name for name in LIBRARIES if find_spec(name) is None]:
+        raise plugins.not_installed("--to onnx", missing, "onnx")
+    told = _told(model, chain)
+    content = _onnx_file(chain, model.robot_.n, told)
+    checked = _checked(content, chain, motion(model.robot_, SAMPLES, RATE_HZ)[0])
+    write_file(content, out)
+    unit = effort_unit(model.effort_kind_) if chain.output == "friction" else ""
+    parts = f"{model.estimator}, {chain.part}"
+    return Exported(out, (out.name,), model.joint_names_, unit, parts, checked, chain.notes)
+
+
+def _told(model: RobotEstimator, chain: Chain) -> dict[str, str]:
+    """What the file says of itself."""
+    lists = {
+        "inputs": model.joint_names_,
+        "input_units": tuple("rad" if one else "m" for one in model.robot_.joint_geometry().turns),
+        "outputs": chain.outputs,
+        "output_units": chain.units,
+        "notes": chain.notes,
+    }
+    # A path says where somebody keeps files, not what robot it is.
+    robot = Path(model.robot_.name).name
+    words = {"estimator": model.estimator, "robot": robot, "part": chain.part}
+    return words | {name: json.dumps(all_, ensure_ascii=False) for name, all_ in lists.items()}
+
+
+def _onnx_file(chain: Chain, n: int, told: dict[str, str]) -> bytes:
+    from onnx import TensorProto, checker, helper, shape_inference
+
+    nodes: list[Any] = []
+    constants: list[Any] = []
+    at = "q"
+    for number, layer in enumerate(chain.layers, start=1):
+        last = chain.output if number == len(chain.layers) else ""
+        at = _add(layer, number, at, last, nodes, constants)
+    ends = [
+        helper.make_tensor_value_info(name, TensorProto.FLOAT, ["rows", size])
+        for name, size in (("q", n), (chain.output, len(chain.outputs)))
+    ]
+    graph = helper.make_graph(nodes, "hil", ends[:1], ends[1:], constants)
+    opset = [helper.make_opsetid("", OPSET)]
+    made = helper.make_model(graph, opset_imports=opset, ir_version=IR_VERSION, producer_name="hil")
+    helper.set_model_props(made, told)
+    try:
+        checker.check_model(made, full_check=True)
+    except (checker.ValidationError, shape_inference.InferenceError) as error:
+        raise FitError(f"the ONNX graph is not valid: {error}", hint=FAULT) from error
+    content: bytes = made.SerializeToString()
+    return content
+
 
 OPERATORS = {"softplus": "Softplus", "relu": "Relu", "tanh": "Tanh", "sin": "Sin", "linear": ""}
 """Activations that all runtimes of this kind know, as ONNX calls them; a chain adds no others."""
+
+
+def _add(
+    layer: Layer, number: int, at: str, last: str, nodes: list[Any], constants: list[Any]
+) -> str:
+    """Append a layer; where its values are."""
+    from onnx import helper, numpy_helper
+
+    names = [f"weight{number}", f"bias{number}"]
+    for name, values in zip(names, (layer.weight, layer.bias), strict=True):
+        constants.append(numpy_helper.from_array(values.astype(np.float32), name))
+    operator = OPERATORS[layer.activation]
+    total = f"sum{number}" if operator or not last else last
+    nodes.append(helper.make_node("Gemm", [at, *names], [total], name=f"layer{number}"))
+    if not operator:
+        return total
+    value = last or f"value{number}"
+    nodes.append(helper.make_node(operator, [total], [value], name=f"{layer.activation}{number}"))
+    return value
+
+
+def _checked(content: bytes, chain: Chain, q: FloatArray) -> str:
+    """How well onnxruntime agrees with the model.
+
+    Raises:
+        FitError: It does not.
+    """
+    wanted = chain.says(q)
+    off = np.abs(onnxruntime_says(content)(q) - wanted).max(axis=0)
+    worst = float(np.max(off / scale_of(wanted)))
+    if not worst <= AGREES:
+        raise FitError(
+            f"the ONNX file does not agree with the model: off by {worst:.1e}",
+            hint=FAULT,
+        )
+    return f"onnxruntime: largest difference {worst:.2e} of each output's largest value"
+
+
+def onnxruntime_says(content: bytes) -> Callable[[FloatArray], FloatArray]:
+    """The file of a chain as a function of q (N, n)."""
+    import onnxruntime
+
+    session = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"])
+
+    def says(q: FloatArray) -> FloatArray:
+        return np.asarray(session.run(None, {"q": q.astype(np.float32)})[0], dtype=np.float64)
+
+    return says
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,12 +274,6 @@ def _trunk(model: LagrangianModel) -> Chain:
     )  # fmt: skip
 
 
-def _turned(n: int) -> Layer:
-    """[cos q, sin q] as a layer: the cosine is the sine of a quarter turn more."""
-    eye = np.eye(n)
-    return Layer(np.hstack([eye, eye]), np.r_[np.full(n, np.pi / 2), np.zeros(n)], "sin")
-
-
 def _outputs(
     terms: LagrangianTerms, joints: Sequence[str], turns: BoolArray
 ) -> tuple[tuple[str, ...], tuple[str, ...], FloatArray]:
@@ -169,13 +290,10 @@ def _outputs(
     return tuple(names), tuple(units), scale
 
 
-def _formula(terms: LagrangianTerms, turns: BoolArray) -> str:
-    curve = "max(d, 0)" if terms.rectified else "log(1 + exp d)"
-    unit = ", ".join(f"{value:.9g}" for value in terms.unit)
-    added = f" + {terms.added:g}·identity" if terms.added else ""
-    diagonal = f"Lii = unit_i·({curve} + {terms.least:g}), unit = ({unit}) √(kg·m²)"
-    diagonal += " (√kg where joints slide)" * (not np.all(turns))
-    return f"M(q) = L·Lᵀ{added} with {diagonal}"
+def _turned(n: int) -> Layer:
+    """[cos q, sin q] as a layer: the cosine is the sine of a quarter turn more."""
+    eye = np.eye(n)
+    return Layer(np.hstack([eye, eye]), np.r_[np.full(n, np.pi / 2), np.zeros(n)], "sin")
 
 
 def _trunk_says(model: LagrangianModel, scale: FloatArray) -> Callable[[FloatArray], FloatArray]:
@@ -190,3 +308,12 @@ def _trunk_says(model: LagrangianModel, scale: FloatArray) -> Callable[[FloatArr
         return np.asarray(raw.numpy() * scale)
 
     return says
+
+
+def _formula(terms: LagrangianTerms, turns: BoolArray) -> str:
+    curve = "max(d, 0)" if terms.rectified else "log(1 + exp d)"
+    unit = ", ".join(f"{value:.9g}" for value in terms.unit)
+    added = f" + {terms.added:g}·identity" if terms.added else ""
+    diagonal = f"Lii = unit_i·({curve} + {terms.least:g}), unit = ({unit}) √(kg·m²)"
+    diagonal += " (√kg where joints slide)" * (not np.all(turns))
+    return f"M(q) = L·Lᵀ{added} with {diagonal}"

@@ -1,0 +1,660 @@
+"""A fitted model as a folder of C99: header, source, self-test and CMake file.
+
+The C itself is in `hil/export/templates`, one template for each part of a program: the rigid body,
+a Lagrangian network, one of the four kinds of friction, a residual network. A part's template sets
+up to four texts: its `constants`, its members of the `state` structure, its `functions`, and how it
+is `reset` (see `Piece`). This module prepares what goes into them, which is numbers, sizes and
+expressions, and `model.c.j2` puts the pieces behind each other.
+
+In the templates symbols begin with `hil_`; another prefix takes its place at the end. Numbers are
+written so that they are read back to the same bits (`number`, `array`).
+
+Nothing is allocated, nothing is global but constants, and no input makes a program divide by zero,
+take a logarithm of 0 or leave its arrays: it may run in a PREEMPT_RT task, in a TwinCAT C++ module
+or on a microcontroller with a double-precision library.
+"""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from itertools import chain
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hil.core import FitError, FloatArray, SpecError
+from hil.estimators import (
+    MULTIPLES,
+    ORDERS,
+    REFERENCE_C,
+    RIPPLE_FADES_RAD_S,
+    FrictionLaw,
+    RobotEstimator,
+)
+from hil.estimators import PARTS as FRICTION_PARTS
+from hil.export.agreement import LOAD, NETWORK, Golden, closeness, golden_of, precision
+from hil.export.c_compiler import built, require_compiler, self_tested, size_note
+from hil.export.exported import Exported, effort_unit, require_new, write_folder
+from hil.export.program import (
+    BLOCK,
+    GROUPS,
+    LAWS,
+    LONG,
+    PEAKS,
+    Kind,
+    LagrangianTerms,
+    Layers,
+    NetworkFriction,
+    PlainFriction,
+    Program,
+    ShapedFriction,
+    cell_weights,
+    program_of,
+    terms_of,
+)
+from hil.networks import Correction, ResidualSettings
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+PARTS = ("gravity", "inertia", "load", "friction", "ripple", "drive", "residual")
+"""Of the effort, in this order in `hil_parts`; they add up to it."""
+
+PREFIX = re.compile(r"[a-z][a-z0-9_]{0,30}\Z")
+
+HEADERS = """
+    assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal stdalign
+    stdarg stdatomic stdbool stddef stdint stdio stdlib stdnoreturn string tgmath threads time
+    uchar wchar wctype features endian alloca malloc memory unistd values
+"""
+TARGETS = """
+    all clean depend edit_cache help install list_install_components package package_source
+    preinstall rebuild_cache test
+"""
+WORDS = """
+    auto break case char const continue default do double else enum extern for goto if inline int
+    long register return short signed sizeof static struct switch typedef union unsigned void
+    volatile while restrict
+"""
+TAKEN = frozenset((HEADERS + TARGETS + WORDS).split())
+"""Headers of C, targets of CMake, words of C: no names for a file, a target and symbols."""
+
+
+def export_c(
+    model: RobotEstimator, out: Path, *, prefix: str = "hil", unchecked: bool = False
+) -> Exported:
+    """Write a model as C, after its self-test has passed in a folder of its own.
+
+    Args:
+        model: Fitted.
+        out: Folder to be made.
+        prefix: What files and symbols begin with.
+        unchecked: Write it although there is no compiler to check it with.
+
+    Raises:
+        FitError: The model is of a kind that is not exported, or the program does not agree.
+        PluginError: There is no C compiler.
+        RecordingError: The folder exists already, or cannot be made.
+        SpecError: The prefix cannot be one.
+    """
+    require_new(out)
+    if not unchecked:
+        require_compiler()
+    program = program_of(model)
+    source = c_source(program, prefix, f"{program.estimator} of {Path(model.robot_.name).name}")
+    written = {
+        f"{prefix}.h": source.header,
+        f"{prefix}.c": source.source,
+        f"{prefix}_test.c": _self_test(prefix, program, golden_of(model)),
+        "CMakeLists.txt": _rendered("CMakeLists.txt.j2", p=prefix),
+    }
+    checked, notes = ("", ()) if unchecked else _checked(written, prefix)
+    write_folder(written, out)
+    memory = "with" if program.remembers else "without"
+    parts = f"{program.estimator}, {memory} memory"
+    unit = effort_unit(program.effort_kind)
+    return Exported(out, tuple(written), program.joint_names, unit, parts, checked, notes)
+
+
+def _checked(written: Mapping[str, str], prefix: str) -> tuple[str, tuple[str, ...]]:
+    """What the self-test says, and what a task that calls the program has to have."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for file, text in written.items():
+            (folder / file).write_text(text, "utf-8")
+        program = built(folder, (f"{prefix}.c", f"{prefix}_test.c"), "self_test")
+        said, _, state = self_tested(folder, program).partition("\n")
+        return f"self-test: {said}", (size_note(folder, prefix, state),)
+
+
+def _self_test(prefix: str, program: Program, golden: Golden) -> str:
+    """`PREFIX_test.c`: exits with 0 if the program agrees with the model, and says by how much."""
+    wanted = np.stack([golden.bare, golden.loaded])
+    limits = closeness(program, golden)
+    arrays = {
+        "inputs": np.stack([golden.q, golden.qd, golden.qdd], axis=1),
+        "wanted": wanted if golden.residuals is None else wanted - golden.residuals,
+        "largest": limits.largest,
+        "com": np.array(LOAD.com),
+        "inertia": np.array(LOAD.inertia),
+    }
+    if golden.residuals is not None:
+        arrays |= {"residuals": golden.residuals, "own": limits.residual / NETWORK}
+    return _rendered(
+        "self_test.c.j2",
+        p=prefix,
+        parts=PARTS,
+        arrays=arrays,
+        samples=len(golden.q),
+        mass=LOAD.mass,
+        most=precision(program),
+        network=NETWORK,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class CSource:
+    """Text of both files.
+
+    Attributes:
+        prefix: What all symbols begin with.
+        header: `PREFIX.h`.
+        source: `PREFIX.c`.
+    """
+
+    prefix: str
+    header: str
+    source: str
+
+
+def c_source(program: Program, prefix: str = "hil", told: str = "") -> CSource:
+    """Header and source.
+
+    Args:
+        program: What to compute.
+        prefix: What all symbols begin with; also the name of the files.
+        told: For the head of both files: which model this is.
+
+    Raises:
+        SpecError: The prefix cannot be one.
+    """
+    if not PREFIX.match(prefix):
+        raise SpecError(
+            f"the prefix {prefix!r} cannot begin the names of C functions",
+            hint="use small letters, digits and _, a letter first, at most 31 of them",
+        )
+    if prefix in TAKEN:
+        raise SpecError(
+            f"the prefix {prefix!r} is a name that C or CMake has for something else",
+            hint="take another, such as arm",
+        )
+    correction = program.correction
+    network = Piece() if correction is None else network_piece(correction, program.n)
+    pieces = (_rigid_piece(program), _lagrangian_piece(program), _friction_piece(program), network)
+    known: dict[str, Any] = {
+        "title": comment(told or program.estimator),
+        "warmth": _knows_warmth(program.friction),
+    }
+    header = _rendered(
+        "model.h.j2",
+        n=program.n,
+        joints=comment(", ".join(program.joint_names)),
+        units=_units(program),
+        state="".join(piece.state for piece in pieces),
+        parts=PARTS,
+        **known,
+    )
+    source = _rendered(
+        "model.c.j2",
+        prefix=prefix,
+        constants="".join(piece.constants for piece in pieces),
+        functions="".join(piece.functions for piece in pieces),
+        reset="".join(piece.reset for piece in pieces),
+        scale=1.0 / program.scale,
+        learned=program.lagrangian is not None,
+        own_gears=_own_gears(program),
+        corrected=network != Piece(),
+        **known,
+    )
+    return CSource(prefix, _renamed(header, prefix), _renamed(source, prefix))
+
+
+def _renamed(text: str, prefix: str) -> str:
+    """Symbols with another prefix; the header's name in `#include` has it already."""
+    text = re.sub(r'(?<!")\bhil_', f"{prefix}_", text)
+    return re.sub(r"\bHIL_", f"{prefix.upper()}_", text)
+
+
+def _units(program: Program) -> str:
+    """Of positions and efforts, joint by joint where some slide."""
+    torques = program.effort_kind != "current"
+    turns = [bool(one) for one in program.geometry.turns]
+    if program.coupling is not None:
+        # A motor's place is told in the unit of what it moves.
+        whose, start = "motors behind their gears", "All arrays are of "
+    else:
+        whose, start = "joints", ""
+    if all(turns):
+        what = f"Angles in rad, efforts in {'N*m' if torques else 'A'}."
+    else:
+        each = ", ".join("m" if not one else "rad" for one in turns)
+        efforts = ", ".join("N*m" if one else "N" for one in turns) if torques else "A"
+        what = f"Positions in {each}; efforts in {efforts}, in this order."
+    return f"{start}{whose}. {what}" if start else what
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """A part of the program: what its template sets.
+
+    Attributes:
+        constants: `static const` arrays.
+        state: Members of the state structure, what is remembered from sample to sample.
+        functions: `static` functions, those they call first.
+        reset: Statements that set the members of `s`, a pointer to the state, to the start.
+    """
+
+    constants: str = ""
+    state: str = ""
+    functions: str = ""
+    reset: str = ""
+
+
+def _piece(template: str, **values: Any) -> Piece:
+    found = _environment().get_template(template).make_module(values)
+    return Piece(**{name: getattr(found, name, "") for name in Piece.__slots__})
+
+
+def _rigid_piece(program: Program) -> Piece:
+    """`hil_move`, `hil_collect` and `hil_mount`."""
+    return _piece(
+        "rigid.c.j2",
+        turn=program.geometry.placement[:, :3, :3],
+        shift=program.geometry.placement[:, :3, 3],
+        axis=program.geometry.axis,
+        turns=[int(turns) for turns in program.geometry.turns],
+        gravity=program.gravity,
+        flange=program.flange,
+        bodies=program.rigid,
+        gears=program.gears if _own_gears(program) else None,
+        coupling=program.coupling,
+    )
+
+
+def _own_gears(program: Program) -> bool:
+    """Whether gears transmit another torque than that of the bodies."""
+    return not np.array_equal(program.gears, program.rigid)
+
+
+def _friction_piece(program: Program) -> Piece:
+    """`hil_friction(s, q, qd, tau, friction, ripple, drive)` in N·m, and the states it carries."""
+    friction = program.friction
+    if isinstance(friction, PlainFriction):
+        return _plain_piece(friction)
+    if isinstance(friction, ShapedFriction):
+        return _shaped_piece(friction)
+    if isinstance(friction, NetworkFriction):
+        return _piece(
+            "friction_network.c.j2",
+            layers=_dense(friction.layers),
+            scale=friction.scale,
+            dissipative=friction.dissipative,
+            rest_speed=friction.rest_speed,
+            **_precision(friction.kind),
+        )
+    return _library_piece(friction)
+
+
+def _plain_piece(friction: PlainFriction) -> Piece:
+    columns = ("coulomb", "viscous", "offset", "exponent")
+    rows = zip(*(getattr(friction, column) for column in columns), strict=True)
+    return _piece(
+        "friction_plain.c.j2",
+        joints=[dict(zip(columns, row, strict=True)) for row in rows],
+        sign_width=friction.sign_width,
+        power_width=friction.power_width,
+    )
+
+
+def _shaped_piece(law: ShapedFriction) -> Piece:
+    peaked = (law.static != law.coulomb) & (law.stribeck_exponent != 1.0)
+    powers = bool(np.any(peaked) or np.any(law.power))
+    return _piece("friction_shaped.c.j2", law=law, powers=powers, long=LONG)
+
+
+SUMS = {2: (1, 1), 4: (2, 2), 8: (4, 4), 10: (8, 2), 12: (8, 4)}
+"""Multiples of an angle as sums of two others: one sine and cosine per joint is enough."""
+
+
+def _library_piece(law: FrictionLaw) -> Piece:
+    joints, count = [], 0
+    for j, terms in enumerate(terms_of(law)):
+        joint = _library_joint(law, j, terms, first=count)
+        joints.append(joint)
+        count += len(joint["states"])
+    return _piece(
+        "friction_library.c.j2",
+        joints=joints,
+        count=max(count, 1),
+        ripple_fades=RIPPLE_FADES_RAD_S,
+        warmth=_knows_warmth(law),
+    )
+
+
+def _library_joint(
+    law: FrictionLaw, j: int, terms: Mapping[str, FloatArray], first: int
+) -> dict[str, Any]:
+    """What the template needs of a joint whose first state is the program's `first`."""
+    products: dict[str, list[str]] = {part: [] for part in ("friction", "ripple", "drive")}
+    for name, weights in terms.items():
+        part = products[FRICTION_PARTS.get(name.split()[0], "friction")]
+        columns = zip(GROUPS[name], weights, strict=True)
+        part += [f"{number(float(weight))} * {column}" for column, weight in columns if weight]
+    used = set(re.findall(r"[a-z_]+\d*", " ".join(chain(*products.values()))))
+    shapes, usual = law.shapes, REFERENCE_C if law.celsius is None else float(law.celsius[j])
+    multiples = [k for k in MULTIPLES if f"z{k:g}" in used]
+    powers = {"law_p": float(shapes.power[j]), **LAWS}
+    return {
+        "used": used,
+        "warmth": np.nan_to_num(usual - REFERENCE_C),
+        "states": [
+            (f"z{k:g}", first + place, -1.0 / (k * float(shapes.length[j])))
+            for place, k in enumerate(multiples)
+        ],
+        "peaks": [
+            (name, 1.0 / float(-width * shapes.stribeck[j]))
+            for name, width in PEAKS.items()
+            if name in used
+        ],
+        "powers": [(name, power) for name, power in powers.items() if name in used],
+        "waves": _waves(float(np.nan_to_num(shapes.turns[j])), j, used),
+        "sums": [(part, terms) for part, terms in products.items() if terms],
+    }
+
+
+def _waves(
+    turns: float, j: int, used: set[str]
+) -> list[tuple[str, str, list[tuple[int, int, int]]]]:
+    """Of the motor (``) and of the joint (`j`): the angle, and multiples k of it as sums a + b."""
+    found = []
+    for of, angle in (("", f"{number(turns)} * q[{j}]"), ("j", f"q[{j}]")):
+        if orders := {k for k in (*ORDERS, 1) if {f"{of}sin{k}", f"{of}cos{k}"} & used}:
+            multiples = sorted(_needed(orders) - {1})
+            found.append((of, angle, [(k, *SUMS[k]) for k in multiples]))
+    return found
+
+
+def _needed(orders: Iterable[int]) -> set[int]:
+    """Multiples of an angle, and those they are sums of."""
+    found = set(orders)
+    return found.union(*(_needed(SUMS[k]) for k in found if k in SUMS))
+
+
+def _knows_warmth(law: object) -> bool:
+    """Whether friction depends on how warm joints are."""
+    return isinstance(law, FrictionLaw) and any("temperature" in terms for terms in terms_of(law))
+
+
+ACTIVATIONS = {"softplus": "softplus", "relu": "relu", "tanh": "curve", "silu": "silu"}
+"""Activation → what its function is called in C, where `tanh` is taken."""
+
+CALLED: dict[str, tuple[str, ...]] = {
+    "softplus": ("log1p", "within", "decay"),
+    "softplus_slope": ("within", "decay"),
+    "silu": ("softplus_slope",),
+    "silu_slope": ("softplus_slope",),
+    "curve": ("within", "decay"),
+    "curve_slope": ("curve",),
+}
+"""Function → those it calls, or whose result it takes: compilers warn of what nobody calls."""
+
+
+def _lagrangian_piece(program: Program) -> Piece:
+    """`hil_lagrangian`: adds M(q)·q̈ + C(q, q̇)·q̇ + g(q) [N·m] to what is in `torque`.
+
+    The activations of a friction network are among its functions.
+    """
+    terms = program.lagrangian
+    if terms is None:
+        return Piece()
+    n, activation = len(terms.unit), ACTIVATIONS[terms.activation]
+    return _piece(
+        "lagrangian.c.j2",
+        layers=_dense(terms.trunk),
+        called=_called(program, terms),
+        activation=activation,
+        features=2 * n if terms.sincos else n,
+        entries=n * (n + 1) // 2,
+        unit=terms.unit,
+        gravity_unit=terms.gravity_unit,
+        sincos=terms.sincos,
+        rectified=terms.rectified,
+        potential=terms.potential,
+        least=terms.least,
+        added=terms.added,
+        **_precision(terms.kind),
+    )
+
+
+def _called(program: Program, terms: LagrangianTerms) -> set[str]:
+    """Activations of the program and all that they call."""
+    diagonal = "relu" if terms.rectified else "softplus"
+    left = [
+        name + end for name in (ACTIVATIONS[terms.activation], diagonal) for end in ("", "_slope")
+    ]
+    if isinstance(program.friction, NetworkFriction) and len(program.friction.layers.weights) > 1:
+        left.append("curve")
+    called: set[str] = set()
+    while left:
+        name = left.pop()
+        called.add(name)
+        left += CALLED.get(name, ())
+    return called
+
+
+def _precision(kind: Kind) -> dict[str, str]:
+    """The type of a network's numbers, and what stands behind literals and functions of it."""
+    return {"real": kind, "f": "f" if kind == "float" else ""}
+
+
+DENSE_BLOCK = 8
+"""Widths of fully connected layers are filled up to a multiple with zeros."""
+
+LANES, MOST_CHUNK = 16, 128
+"""Partial sums on the way back, and outputs that are summed in one expression."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DenseLayer:
+    """A fully connected layer, filled up.
+
+    Attributes:
+        weight: (inputs · outputs,); the outputs of an input lie together.
+        bias: (outputs,).
+        inputs, outputs: How many.
+        slopes_before: Outputs of the layers before.
+    """
+
+    weight: FloatArray
+    bias: FloatArray
+    inputs: int
+    outputs: int
+    slopes_before: int
+
+    @property
+    def loops(self) -> tuple[int, int, int, int]:
+        """Inputs, outputs, and on the way back partial sums and outputs in one expression."""
+        lanes = LANES if self.outputs % LANES == 0 else DENSE_BLOCK
+        chunks = range(lanes, MOST_CHUNK + 1, lanes)
+        return self.inputs, self.outputs, lanes, max(c for c in chunks if self.outputs % c == 0)
+
+
+def _dense(layers: Layers) -> list[DenseLayer]:
+    found, before = [], 0
+    for weight, bias in zip(layers.weights, layers.biases, strict=True):
+        weight, bias = (
+            np.pad(values, [(0, -size % DENSE_BLOCK) for size in values.shape])
+            for values in (weight, bias)
+        )
+        outputs, inputs = weight.shape
+        found.append(DenseLayer(weight.T.ravel(), bias, inputs, outputs, before))
+        before += outputs
+    return found
+
+
+def _products(row: int, lanes: int, chunk: int, first: str = "") -> str:
+    """Products of a row, `lanes` apart, added in pairs."""
+    terms = [f"w{row}[{first}{c} + l] * y[{first}{c} + l]" for c in range(0, chunk, lanes)]
+    while len(terms) > 1:
+        terms = [f"({' + '.join(terms[k : k + 2])})" for k in range(0, len(terms), 2)]
+    return terms[0]
+
+
+def network_piece(correction: Correction, n: int) -> Piece:
+    """`hil_network`: what the networks add to the effort of the physics, for one sample.
+
+    The C function takes q [rad], qd [rad/s], qdd [rad/s²] and the effort `base` of the physics,
+    `HIL_N` numbers each, and writes as many, 0 for joints that keep no network. It says what
+    `hil.networks.residual_network.CorrectedStream` says, at rest as well.
+
+    Args:
+        correction: Networks that hear no torque.
+        n: Number of joints.
+
+    Raises:
+        FitError: The networks hear torque.
+        ValueError: They are for another number of joints, or have weights that are not finite.
+    """
+    settings = correction.settings
+    if settings.inputs != "motion":
+        raise FitError(
+            f"the residual network has inputs: {settings.inputs}, but a program knows the motion "
+            "only",
+            hint="fit residual with inputs: motion",
+        )
+    if len(correction.kept) != n:
+        raise ValueError(f"networks of {len(correction.kept)} joints for a robot of {n}")
+    if not np.any(correction.kept):
+        return _piece("residual.c.j2", cells=None)
+    cells = cell_weights(correction)
+    reach = [(settings.kernel - 1) * dilation + 1 for dilation in settings.dilations]
+    inputs, unused = _network_inputs(settings, np.flatnonzero(correction.kept).tolist(), n)
+    return _piece(
+        "residual.c.j2",
+        cells=cells,
+        settings=settings,
+        sizes={
+            "SETS": len(cells.means),
+            "GROUPS": len(cells.means) // len(correction.networks),
+            "INPUTS": cells.means.shape[1],
+            "BRANCHES": settings.branches,
+            "CELLS": len(cells.enter),
+            "WIDTH": cells.biases.shape[1],
+            "LAYERS": len(reach),
+            "KERNEL": settings.kernel,
+            "OUTPUTS": len(cells.leave) // len(cells.enter),
+        },
+        rows=sum(reach),
+        first=[0, *np.cumsum(reach)[:-1].tolist()],
+        limit=np.where(correction.kept, correction.limit, 0.0),
+        inputs=inputs,
+        unused=unused,
+    )
+
+
+def _network_inputs(
+    settings: ResidualSettings, kept: list[int], n: int
+) -> tuple[list[str], list[str]]:
+    """Inputs of all groups one behind the other, not scaled yet, and arguments that none reads."""
+    if settings.layout == "grouped":
+        # Each kept joint's velocity, signs, acceleration and, if told, effort of the physics.
+        groups = [
+            [
+                f"qd[{joint}]",
+                *(_sign(joint, width) for width in settings.sign_widths),
+                f"qdd[{joint}]",
+                *([f"base[{joint}]"] if settings.base_input else []),
+            ]
+            for joint in kept
+        ]
+        unused = ["q"] if settings.base_input else ["q", "base"]
+    else:
+        groups = [[f"{name}[{joint}]" for joint in range(n) for name in ("q", "qd", "qdd")]]
+        unused = ["base"]
+    return [one for group in groups for one in [*group, *["0.0"] * (-len(group) % BLOCK)]], unused
+
+
+def _sign(joint: int, width: float) -> str:
+    # Held within what a float can hold, and where the tangent no longer changes.
+    scaled = f"hil_network_clip(qd[{joint}] / {number(width)}, -8.0, 8.0)"
+    return f"(double)hil_network_tanh((float){scaled})"
+
+
+@cache
+def _environment() -> Environment:
+    from jinja2 import Environment, FunctionLoader, StrictUndefined
+
+    folder = files("hil.export").joinpath("templates")
+    environment = Environment(  # noqa: S701  # C, not HTML; foreign text goes through `comment`
+        loader=FunctionLoader(lambda name: folder.joinpath(name).read_text("utf-8")),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    environment.filters["number"] = number
+    environment.globals |= {"array": array, "products": _products}
+    return environment
+
+
+def _rendered(template: str, **values: Any) -> str:
+    return _environment().get_template(template).render(values)
+
+
+def comment(text: str) -> str:
+    """Foreign text as it may stand in a comment: what could end one, or begin a line, becomes `_`.
+
+    Names of joints, robots and estimators come from files that others wrote.
+    """
+    return re.sub(r"[^A-Za-z0-9_ .,+-]", "_", text)
+
+
+def number(value: float, kind: Kind = "double") -> str:
+    """A literal that is read back to the same bits.
+
+    Raises:
+        ValueError: It is not finite.
+    """
+    if not np.isfinite(value):
+        raise ValueError(f"{value} cannot be a constant of a program")
+    text = f"{np.float32(value)!s}" if kind == "float" else repr(float(value))
+    if "." not in text and "e" not in text:
+        text += ".0"
+    return text + ("f" if kind == "float" else "")
+
+
+def array(name: str, values: FloatArray, kind: Kind = "double") -> str:
+    """A `static const` array of any shape, with its initialiser.
+
+    Raises:
+        ValueError: A value is not finite.
+    """
+    values = np.asarray(values)
+    sizes = "".join(f"[{size}]" for size in values.shape)
+    return f"static const {kind} {name}{sizes} = {_braced(values, kind)};"
+
+
+def _braced(values: FloatArray, kind: Kind) -> str:
+    if values.ndim == 0:
+        return number(float(values), kind)
+    parts = [_braced(one, kind) for one in values]
+    if values.ndim > 1:
+        return "{\n" + ",\n".join(parts) + "}"
+    lines = [", ".join(parts[first : first + 6]) for first in range(0, len(parts), 6)]
+    return "{" + ",\n ".join(lines) + "}"

@@ -1,0 +1,870 @@
+"""A program as a PyTorch module: one sample of many independent streams at once.
+
+`ProgramModule` is a module for the rigid body or a Lagrangian network (`RigidTorque`,
+`LagrangianTorque`), one for friction (`PlainLaw`, `ShapedLaw`, `NetworkLaw`, `MemoryLaw`) and one
+for a residual network (`StreamingTcn`). What a module carries from sample to sample goes in and
+comes out as numbers, of which zeros are the start; its `parts` name them. Nothing is written in
+place, nothing scatters, gathers or branches, so that the modules can be traced for small runtimes.
+
+Arithmetic is in double precision, but for networks: these are in single, whatever they were trained
+in, because runtimes lack some of their functions in double.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from itertools import groupby
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from hil.core import FloatArray
+from hil.dynamics import skew
+from hil.estimators import MULTIPLES, REFERENCE_C, RIPPLE_FADES_RAD_S, FrictionLaw, RobotEstimator
+from hil.export.exported import effort_unit
+from hil.export.program import (
+    GROUPS,
+    LAWS,
+    LONG,
+    PEAKS,
+    CellWeights,
+    LagrangianTerms,
+    NetworkFriction,
+    PlainFriction,
+    Program,
+    ShapedFriction,
+    cell_weights,
+    program_of,
+    terms_of,
+)
+from hil.networks import Correction, LagrangianNetwork, NetworkSettings
+
+LOAD = ("kg", *["m"] * 3, *["kg*m2"] * 6)
+"""Units of mass, centre of mass x y z and inertia about it xx yy zz xy xz yz."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TorchModel:
+    """A module and what has to be known to call it.
+
+    Attributes:
+        module: effort[, state_next] = module(q, qd, qdd, load[, state]), a tuple; see
+            `torch_program.ProgramModule`. In double precision, for evaluation.
+        estimator: What found it.
+        joint_names: n of them.
+        effort_kind: `current` or `torque`.
+        turns: Which joints turn; the others slide.
+        state: Name and size of the parts of the state, in this order; empty without memory.
+        rate_hz: At which samples must come, as a network counts them; None where it does not
+            matter.
+    """
+
+    module: nn.Module
+    estimator: str
+    joint_names: tuple[str, ...]
+    effort_kind: str
+    turns: tuple[bool, ...]
+    state: tuple[tuple[str, int], ...] = ()
+    rate_hz: float | None = None
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.joint_names)
+
+    @property
+    def state_size(self) -> int:
+        """S; 0 without memory."""
+        return sum(size for _, size in self.state)
+
+    @property
+    def names(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Of the inputs and of the outputs."""
+        taken, given = ("q", "qd", "qdd", "load"), ("effort",)
+        return ((*taken, "state"), (*given, "state_next")) if self.state else (taken, given)
+
+    @property
+    def units(self) -> dict[str, list[str]]:
+        """Of every column of the inputs and of the effort, in ASCII."""
+        lengths = ["rad" if turns else "m" for turns in self.turns]
+        of_torque = ["N*m" if turns else "N" for turns in self.turns]
+        return {
+            "q": lengths,
+            "qd": [f"{one}/s" for one in lengths],
+            "qdd": [f"{one}/s2" for one in lengths],
+            "load": list(LOAD),
+            "effort": of_torque if self.effort_kind == "torque" else ["A"] * self.n,
+        }
+
+    def told(self) -> dict[str, str]:
+        """Metadata for a file: plain text, lists as JSON."""
+        return {
+            "written_by": "hil",
+            "estimator": self.estimator,
+            "joint_names": json.dumps(self.joint_names),
+            "units": json.dumps(self.units),
+            "effort_unit": effort_unit(self.effort_kind).replace("·", "*"),
+            "state_size": str(self.state_size),
+            "state": json.dumps(self.state),
+            "rate_hz": "" if self.rate_hz is None else f"{self.rate_hz:.9g}",
+        }
+
+
+def module_of(model: RobotEstimator) -> TorchModel:
+    """What the model computes, as a PyTorch module.
+
+    Raises:
+        FitError: It is not fitted, or of a kind that is not exported.
+    """
+    program = program_of(model)
+    module = ProgramModule(program).eval()
+    correction = program.correction if module.network is not None else None
+    return TorchModel(
+        module=module,
+        estimator=program.estimator,
+        joint_names=program.joint_names,
+        effort_kind=program.effort_kind,
+        turns=tuple(bool(turns) for turns in program.geometry.turns),
+        state=module.parts,
+        rate_hz=None if correction is None else correction.networks[0].rate_hz,
+    )
+
+
+Carried = dict[str, Tensor]
+"""What is handed on from sample to sample by name, each (B, size)."""
+
+
+class ProgramModule(nn.Module):
+    """effort[, state_next] = module(q, qd, qdd, load[, state]), all in double precision.
+
+    Differentiable in q, qd, qdd and the state, but for the signs within friction; nothing is
+    written in place.
+
+    Args:
+        program: What to compute. A network that no joint keeps counts as none.
+
+    Attributes:
+        parts: Name and size of what the state holds, in this order; empty without memory.
+    """
+
+    def __init__(self, program: Program) -> None:
+        super().__init__()
+        self.physics = physics_module(program)
+        self.friction = friction_module(program)
+        self.network = network_module(program)
+        hold(self, scale=program.scale)
+        carried = self.friction.parts + (self.network.parts if self.network is not None else ())
+        self.parts: tuple[tuple[str, int], ...] = (("begun", 1), *carried) if carried else ()
+
+    def forward(
+        self, q: Tensor, qd: Tensor, qdd: Tensor, load: Tensor, state: Tensor | None = None
+    ) -> tuple[Tensor, ...]:
+        """(effort,) without memory, (effort, state_next) with it.
+
+        Args:
+            q: (B, n) [rad].
+            qd: (B, n) [rad/s].
+            qdd: (B, n) [rad/s²].
+            load: (B, 10) mass [kg], centre of mass [m] in the flange's frame, inertia about it
+                (xx, yy, zz, xy, xz, yz) [kg·m²].
+            state: (B, S) of the sample before; zeros are the start. None without memory.
+        """
+        torque, gears = self.physics(q, qd, qdd, load)
+        carried, begun = self._carried(state)
+        friction, held = self.friction(q, qd, gears, begun, carried)
+        effort = (torque + friction) / self.scale
+        after = dict(carried) | held
+        if self.network is not None:
+            added, rings = self.network(q, qd, qdd, effort, begun, carried)
+            effort, after = effort + added, after | rings
+        if not self.parts:
+            return (effort,)
+        after["begun"] = torch.clamp(carried["begun"], min=1.0)
+        return effort, torch.cat([after[name] for name, _ in self.parts], dim=1)
+
+    def _carried(self, state: Tensor | None) -> tuple[Carried, Tensor | None]:
+        """Parts of the state by name, and whether there was a sample before, (B, 1)."""
+        if state is None:
+            return {}, None
+        names, sizes = zip(*self.parts, strict=True)
+        carried = dict(zip(names, state.split(sizes, dim=1), strict=True))
+        return carried, carried["begun"] > 0.5
+
+
+def physics_module(program: Program) -> nn.Module:
+    """(q, qd, qdd, load) → torque with load, and that of the gears, each (B, n) [N·m]."""
+    if program.lagrangian is not None:
+        return LagrangianTorque(program, program.lagrangian)
+    return RigidTorque(program)
+
+
+def friction_module(program: Program) -> nn.Module:
+    """(q, qd, gears, begun, carried) → torque (B, n) [N·m], and what is carried on.
+
+    Its `parts` say what that is; see `torch_friction.MemoryLaw`.
+    """
+    friction = program.friction
+    if isinstance(friction, PlainFriction):
+        return PlainLaw(friction)
+    if isinstance(friction, ShapedFriction):
+        return ShapedLaw(friction)
+    if isinstance(friction, NetworkFriction):
+        return NetworkLaw(friction)
+    return MemoryLaw(friction)
+
+
+def network_module(program: Program) -> StreamingTcn | None:
+    """The residual networks, where a joint keeps its own."""
+    correction = program.correction
+    if correction is None or not np.any(correction.kept):
+        return None
+    return StreamingTcn(correction)
+
+
+class RigidTorque(nn.Module):
+    """Torques of links and load, linear in what the bodies are, of all links at once.
+
+    With link poses Tᵢ in the base and joint twists Gᵢ (4×4, base), velocities are V = Σ G·q̇ over
+    the joints up to a link, accelerations V' = Σ (G·q̈ + [V, G]·q̇), and a link with pseudo-inertia
+    J takes A = (V' + V²)·T J Tᵀ, gravity within V'. A joint holds τᵢ = ⟨Gᵢ, Σ A⟩ over the links it
+    carries (Uicker 1967, in the notation of Wensing, Kim & Slotine 2018). It is Newton and Euler
+    without their walk from link to link: only the poses are multiplied one by one, sums along the
+    chain are products with a triangular matrix. So there are few operations, which is what a sample
+    costs in a runtime. Where motors move more than one joint, q, q̇, q̈, rotors and torques are the
+    motors'.
+
+    Args:
+        program: Geometry, gravity, flange and bodies.
+    """
+
+    def __init__(self, program: Program) -> None:
+        super().__init__()
+        self.n = program.n
+        self.slides = not np.all(program.geometry.turns)
+        self.own_gears = not np.array_equal(program.gears, program.rigid)
+        self.coupled = program.coupling is not None
+        if program.coupling is not None:
+            hold(self, joints=program.coupling.T, motors=program.coupling)
+        hold(self, **_geometry(program), **_load(program), rotors=program.rigid[:, 10])
+        hold(self, bodies=np.array([pseudo_inertia(row) for row in program.rigid]))
+        if self.own_gears:
+            hold(self, gears=np.array([pseudo_inertia(row) for row in program.gears]))
+            hold(self, gear_rotors=program.gears[:, 10])
+
+    def forward(self, q: Tensor, qd: Tensor, qdd: Tensor, load: Tensor) -> tuple[Tensor, Tensor]:
+        """Torque of the rigid body with load, and what of it the gears transmit, (B, n) [N·m].
+
+        Args:
+            q: (B, n) [rad].
+            qd: (B, n) [rad/s].
+            qdd: (B, n) [rad/s²].
+            load: (B, 10) mass [kg], centre of mass [m] in the flange's frame, inertia about it
+                (xx, yy, zz, xy, xz, yz) [kg·m²].
+        """
+        moves = [rows @ self.joints for rows in (q, qd, qdd)] if self.coupled else [q, qd, qdd]
+        pose = self._poses(moves[0])
+        twist = self._twists(pose)
+        moving = self._moving(twist, *moves[1:])
+        mounted = self.last * self._mounted(load)
+        torque = self._held(pose, twist, moving, self.bodies + mounted) + self.rotors * qdd
+        if not self.own_gears:
+            return torque, torque
+        gears = self._held(pose, twist, moving, self.gears + mounted) + self.gear_rotors * qdd
+        return torque, gears
+
+    def _poses(self, q: Tensor) -> Tensor:
+        """(B, n, 4, 4) of the links in the base."""
+        angle = q.reshape(-1, self.n, 1, 1)
+        step = self.still + torch.cos(angle) * self.cosine + torch.sin(angle) * self.sine
+        if self.slides:
+            step = step + angle * self.slide
+        poses: list[Tensor] = []
+        for one in step.split(1, dim=1):
+            poses.append(poses[-1] @ one if poses else one)
+        return torch.cat(poses, dim=1)
+
+    def _twists(self, pose: Tensor) -> Tensor:
+        """(B, n, 4, 4) velocity of space that moves with a joint, per unit of its own."""
+        axis = (pose @ self.turning).reshape(-1, self.n, 4)
+        turn = (axis @ self.skewed).reshape(-1, self.n, 4, 4)
+        twist = turn @ (self.one - pose @ self.corner)
+        return twist + pose @ self.sliding if self.slides else twist
+
+    def _moving(self, twist: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
+        """(B, n, 4, 4) position in the base → acceleration there, less gravity's."""
+        v, a = (values.reshape(-1, self.n, 1, 1) for values in (qd, qdd))
+        velocity = self._outwards(twist * v)
+        bracket = velocity @ twist - twist @ velocity
+        return self._outwards(twist * a + bracket * v) + velocity @ velocity + self.falling
+
+    def _held(self, pose: Tensor, twist: Tensor, moving: Tensor, inertia: Tensor) -> Tensor:
+        wrench = moving @ (pose @ inertia @ pose.transpose(2, 3))
+        carried = self.inwards @ wrench.reshape(-1, self.n, 16)
+        torque = (twist.reshape(-1, self.n, 16) * carried).sum(dim=2)
+        return torque @ self.motors if self.coupled else torque
+
+    def _outwards(self, each: Tensor) -> Tensor:
+        """Sums over the joints up to each link."""
+        return (self.outwards @ each.reshape(-1, self.n, 16)).reshape(-1, self.n, 4, 4)
+
+    def _mounted(self, load: Tensor) -> Tensor:
+        """(B, 1, 4, 4) pseudo-inertia of a load in the last link's frame."""
+        about_centre = (load @ self.load_inertia).reshape(-1, 1, 4, 4)
+        centre = load @ self.load_centre + self.load_origin
+        mass = load[:, :1].reshape(-1, 1, 1, 1)
+        return about_centre + mass * (centre.reshape(-1, 1, 4, 1) * centre.reshape(-1, 1, 1, 4))
+
+
+def _geometry(program: Program) -> dict[str, FloatArray]:
+    """Poses of the joints are still + cosine·cos q + sine·sin q + slide·q (Rodrigues)."""
+    n, geometry = program.n, program.geometry
+    whole = np.zeros((4, n, 4, 4))
+    still, cosine, sine, slide = whole
+    turning = np.zeros((n, 4, 1))
+    falling = np.zeros((4, 4))
+    falling[:3, 3] = -program.gravity
+    last = np.zeros((n, 1, 1))
+    last[-1] = 1.0
+    for i, axis in enumerate(geometry.axis):
+        still[i, 3, 3] = 1.0
+        if geometry.turns[i]:
+            along = np.outer(axis, axis)
+            still[i, :3, :3], cosine[i, :3, :3], sine[i, :3, :3] = (
+                along, np.eye(3) - along, skew(axis),
+            )  # fmt: skip
+            turning[i, :3, 0] = axis
+        else:
+            still[i, :3, :3], slide[i, :3, 3] = np.eye(3), axis
+    still, cosine, sine, moved = (geometry.placement @ part for part in whole)
+    skewed = np.zeros((4, 4, 4))
+    skewed[:3, :3, :3] = np.array([skew(axis) for axis in np.eye(3)])
+    return {
+        "still": still, "cosine": cosine, "sine": sine, "slide": moved, "sliding": slide,
+        "turning": turning, "skewed": skewed.reshape(4, 16), "falling": falling, "last": last,
+        "one": np.eye(4), "corner": np.diag([0.0, 0.0, 0.0, 1.0]),
+        "outwards": np.tril(np.ones((n, n))), "inwards": np.triu(np.ones((n, n))),
+    }  # fmt: skip
+
+
+def _load(program: Program) -> dict[str, FloatArray]:
+    """A load's ten numbers → its inertia about its centre, and where that is, in the last link."""
+    flange = program.flange
+    inertia, centre = np.zeros((10, 4, 4)), np.zeros((10, 4))
+    # xx, yy, zz, xy, xz, yz among the parameters of a body
+    for number, parameter in enumerate((4, 6, 9, 5, 7, 8)):
+        inertia[4 + number] = flange @ pseudo_inertia(np.eye(10)[parameter]) @ flange.T
+    centre[1:4] = flange[:, :3].T
+    return {
+        "load_inertia": inertia.reshape(10, 16),
+        "load_centre": centre,
+        "load_origin": flange[:, 3],
+    }
+
+
+def pseudo_inertia(body: FloatArray) -> FloatArray:
+    """(4, 4) ∫ x xᵀ dm of x = (position, 1), from a body in `hil.dynamics.inertial`'s order."""
+    m, xx, xy, yy, xz, yz, zz = body[0], *body[4:10]
+    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    J = np.empty((4, 4))
+    J[:3, :3] = 0.5 * np.trace(inertia) * np.eye(3) - inertia
+    J[:3, 3] = J[3, :3] = body[1:4]
+    J[3, 3] = m
+    return J
+
+
+SINGLE = torch.float32
+
+
+class LagrangianTorque(nn.Module):
+    """Torque of the network, and of the load by Newton and Euler.
+
+    Args:
+        program: Bodies that are nothing, and a Lagrangian network.
+        terms: That network.
+    """
+
+    def __init__(self, program: Program, terms: LagrangianTerms) -> None:
+        super().__init__()
+        self.load = RigidTorque(program)
+        self.network = lagrangian_network(terms)
+
+    def forward(self, q: Tensor, qd: Tensor, qdd: Tensor, load: Tensor) -> tuple[Tensor, Tensor]:
+        """As `torch_rigid.RigidTorque.forward`."""
+        carried, _ = self.load(q, qd, qdd, load)
+        found = self.network(q.to(SINGLE), qd.to(SINGLE), qdd.to(SINGLE))
+        torque = found.to(torch.float64) + carried
+        return torque, torque
+
+
+def lagrangian_network(terms: LagrangianTerms) -> LagrangianNetwork:
+    """The network that the terms were read from; its weights do not learn."""
+    layers, n = terms.trunk, len(terms.unit)
+    settings = NetworkSettings(
+        hidden=tuple(len(bias) for bias in layers.biases[:-1]),
+        activation=terms.activation,
+        features="sincos" if terms.sincos else "raw",
+        gravity="potential" if terms.potential else "head",
+        diagonal="relu" if terms.rectified else "softplus",
+        epsilon=terms.least or terms.added,
+        epsilon_of="factor" if terms.least else "mass",
+        scaled=False,
+    )
+    network = LagrangianNetwork(n, settings)
+    network.to(SINGLE)
+    linear = [*network.trunk.layers, network.trunk.last]
+    with torch.no_grad():
+        for layer, weight, bias in zip(linear, layers.weights, layers.biases, strict=True):
+            layer.weight.copy_(torch.as_tensor(weight))
+            layer.bias.copy_(torch.as_tensor(bias))
+        network.factor.placement.mul_(torch.as_tensor(np.repeat(terms.unit, n)))
+        network.gravity_unit.copy_(torch.as_tensor(terms.gravity_unit))
+    network.requires_grad_(False)
+    return network
+
+
+class NetworkLaw(nn.Module):
+    """Friction by a network, dissipative or unconstrained.
+
+    Args:
+        friction: Of n joints.
+
+    Attributes:
+        parts: None; it has no memory.
+    """
+
+    parts: tuple[tuple[str, int], ...] = ()
+
+    def __init__(self, friction: NetworkFriction) -> None:
+        super().__init__()
+        self.dissipative, self.rest = friction.dissipative, friction.rest_speed
+        self.count = len(friction.layers.weights)
+        self.n = friction.layers.weights[0].shape[1] // 3
+        hold(self, SINGLE, scale=friction.scale)
+        both = zip(friction.layers.weights, friction.layers.biases, strict=True)
+        for k, (weight, bias) in enumerate(both):
+            hold(self, SINGLE, **{f"weight{k}": weight, f"bias{k}": bias})
+        if self.dissipative:
+            hold(self, SINGLE, places=_places(self.n))
+
+    def forward(
+        self, q: Tensor, qd: Tensor, gears: Tensor, begun: Tensor | None, carried: Carried
+    ) -> tuple[Tensor, Carried]:
+        """As `torch_friction.MemoryLaw.forward`."""
+        q, qd = q.to(SINGLE), qd.to(SINGLE)
+        speed = torch.abs(qd) + self.rest
+        velocity = torch.log(speed) if self.dissipative else qd
+        value = torch.cat([torch.cos(q), torch.sin(q), velocity], dim=1)
+        for k in range(self.count):
+            weight, bias = self.get_buffer(f"weight{k}"), self.get_buffer(f"bias{k}")
+            value = functional.linear(value, weight, bias)
+            value = torch.tanh(value) if k + 1 < self.count else value
+        value = value * self.scale
+        if not self.dissipative:
+            return value.to(torch.float64), {}
+        lower = (value @ self.places).reshape(-1, self.n, self.n)
+        factor = lower * torch.rsqrt(speed).reshape(-1, self.n, 1)
+        torque = factor @ (factor.transpose(1, 2) @ qd.reshape(-1, self.n, 1))
+        return torque.reshape(-1, self.n).to(torch.float64), {}
+
+
+def _places(n: int) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+    """(n(n+1)/2, n²) entry of a lower triangle, row by row → place in the matrix."""
+    rows, columns = np.tril_indices(n)
+    found = np.zeros((len(rows), n * n))
+    found[np.arange(len(rows)), rows * n + columns] = 1.0
+    return found
+
+
+SLOWEST = 1e-12
+"""Below this speed [rad/s] a power of it is 0: no logarithm of 0."""
+
+SENSE_RAD_S = 0.01
+"""Width of the smooth sign of ripple."""
+
+
+class PlainLaw(nn.Module):
+    """Friction without memory.
+
+    Args:
+        friction: Of n joints.
+
+    Attributes:
+        parts: None; see `MemoryLaw`.
+    """
+
+    parts: tuple[tuple[str, int], ...] = ()
+
+    def __init__(self, friction: PlainFriction) -> None:
+        super().__init__()
+        self.hard = friction.sign_width == 0
+        self.bent = bool(np.any(friction.exponent != 1.0))
+        hold(
+            self,
+            coulomb=friction.coulomb,
+            viscous=friction.viscous,
+            offset=friction.offset,
+            width=np.array([friction.sign_width]),
+            bend=0.5 * (friction.exponent - 1.0),
+            square=np.array([friction.power_width**2]),
+        )
+
+    def forward(
+        self, q: Tensor, qd: Tensor, gears: Tensor, begun: Tensor | None, carried: Carried
+    ) -> tuple[Tensor, Carried]:
+        """As `MemoryLaw.forward`."""
+        sign = torch.sign(qd) if self.hard else torch.tanh(qd / self.width)
+        power = qd * torch.exp(self.bend * torch.log(qd * qd + self.square)) if self.bent else qd
+        return self.coulomb * sign + self.viscous * power + self.offset, {}
+
+
+class MemoryLaw(nn.Module):
+    """Friction, ripple and drive of a law whose Dahl states are carried from sample to sample.
+
+    Args:
+        law: Of n joints.
+
+    Attributes:
+        parts: Name and size of what it carries; zeros are the start.
+    """
+
+    def __init__(self, law: FrictionLaw) -> None:
+        super().__init__()
+        offset, weights = _weights(law)
+        self.n = n = len(offset)
+        # Columns of as many factors behind each other, so that they are multiplied together.
+        self.columns = sorted((column.split(" * ") for column in weights), key=len)
+        words = {word for column in self.columns for word in column}
+        words |= {word[5:-1] for word in words if word.startswith("fabs(")}
+        self.multiples = tuple(k for k in MULTIPLES if f"z{k:g}" in words)
+        self.warms, self.slows, self.senses = (w in words for w in ("warmth", "slow", "sense"))
+        self.peaks = [name for name in PEAKS if name in words]
+        self.laws = [name for name in ("law_p", *LAWS) if name in words]
+        waves = {word for word in words if word.lstrip("j").startswith(("sin", "cos"))}
+        self.waves = sorted({word.replace("sin", "").replace("cos", "") for word in waves})
+        states = (("friction", len(self.multiples) * n), ("last", n))
+        self.parts = states * bool(self.multiples) + (("warmer_k", n),) * self.warms
+        hold(
+            self,
+            offset=offset,
+            weights=np.array([weights[" * ".join(column)] for column in self.columns]),
+            **self._shapes(law),
+        )
+
+    def _shapes(self, law: FrictionLaw) -> dict[str, FloatArray]:
+        shapes, one = law.shapes, np.ones(self.n)
+        usual = REFERENCE_C * one if law.celsius is None else law.celsius
+        powers = {"law_p": shapes.power, **{name: power * one for name, power in LAWS.items()}}
+        turns = np.nan_to_num(shapes.turns)
+        return {
+            "shortness": -1.0 / np.outer(self.multiples or (1.0,), shapes.length),
+            "peak_rates": np.array([-1.0 / (PEAKS[name] * shapes.stribeck) for name in self.peaks]),
+            "powers": np.array([powers[name] for name in self.laws]),
+            "orders": np.array(
+                [float(k.lstrip("j")) * (one if k.startswith("j") else turns) for k in self.waves]
+            ),
+            "warmth": np.nan_to_num(usual - REFERENCE_C),
+            "slow_rate": np.array([-1.0 / RIPPLE_FADES_RAD_S]),
+            "sense_rate": np.array([1.0 / SENSE_RAD_S]),
+        }
+
+    def forward(
+        self, q: Tensor, qd: Tensor, gears: Tensor, begun: Tensor | None, carried: Carried
+    ) -> tuple[Tensor, Carried]:
+        """Torque (B, n) [N·m], and what is carried on.
+
+        Args:
+            q: (B, n) [rad].
+            qd: (B, n) [rad/s].
+            gears: (B, n) torque that the gears transmit [N·m].
+            begun: (B, 1) whether there was a sample before; None where nothing is carried.
+            carried: What `parts` names. `warmer_k` (B, n) is how much warmer joints are than
+                the training was [K].
+        """
+        after = dict(carried)
+        rows = [one.reshape(-1, 1, self.n) for one in (q, qd, gears)]
+        known = self._now(*rows)
+        if self.multiples:
+            way = torch.where(begun, q - carried["last"], 0.0)
+            z = self._advanced(carried["friction"], way, qd)
+            after |= {"friction": z.reshape(-1, len(self.multiples) * self.n), "last": q}
+            states = _split([f"z{k:g}" for k in self.multiples], z)
+            known |= states | {f"fabs({name})": torch.abs(state) for name, state in states.items()}
+        if self.warms:
+            known["warmth"] = (self.warmth + carried["warmer_k"]).reshape(-1, 1, self.n)
+        return (self._products(known) * self.weights).sum(dim=1) + self.offset, after
+
+    def _now(self, q: Tensor, v: Tensor, tau: Tensor) -> dict[str, Tensor]:
+        """What columns are products of, each (B, 1, n), but for memory and warmth."""
+        speed = torch.abs(v)
+        known = {"v": v, "speed": speed, "tau": tau, "load": torch.abs(tau)}
+        if self.peaks:
+            known |= _split(self.peaks, torch.exp(speed * self.peak_rates))
+        if self.laws:
+            toward = torch.where(speed > SLOWEST, torch.sign(v), 0.0)
+            power = torch.exp(torch.log(torch.clamp(speed, min=SLOWEST)) * self.powers)
+            known |= _split(self.laws, toward * power)
+        if self.waves:
+            angle = q * self.orders
+            for wave, values in (("sin", torch.sin(angle)), ("cos", torch.cos(angle))):
+                names = [f"{'j' * k.startswith('j')}{wave}{k.lstrip('j')}" for k in self.waves]
+                known |= _split(names, values)
+        if self.slows:
+            known["slow"] = torch.exp(speed * self.slow_rate)
+        if self.senses:
+            known["sense"] = torch.tanh(v * self.sense_rate)
+        return known
+
+    def _products(self, known: dict[str, Tensor]) -> Tensor:
+        """(B, C, n) columns."""
+        found = []
+        for _, group in groupby(self.columns, key=len):
+            first, *others = (
+                torch.cat([known[name] for name in names], dim=1)
+                for names in zip(*group, strict=True)
+            )
+            for factor in others:
+                first = first * factor
+            found.append(first)
+        return torch.cat(found, dim=1)
+
+    def _advanced(self, states: Tensor, way: Tensor, qd: Tensor) -> Tensor:
+        """(B, M, n) Dahl's states one step on: only what goes with the velocity counts as way."""
+        gone = torch.where(way * qd > 0.0, way, 0.0).reshape(-1, 1, self.n)
+        toward = torch.sign(gone)
+        before = states.reshape(-1, len(self.multiples), self.n)
+        return toward + (before - toward) * torch.exp(torch.abs(gone) * self.shortness)
+
+
+def _weights(law: FrictionLaw) -> tuple[FloatArray, dict[str, FloatArray]]:
+    """(n,) constants, and every other column's coefficient of each joint; at least one column."""
+    joints = terms_of(law)
+    offset, weights = np.zeros(len(joints)), dict[str, FloatArray]()
+    for j, terms in enumerate(joints):
+        for name, found in terms.items():
+            for column, weight in zip(GROUPS[name], found, strict=True):
+                if column == "1.0":
+                    offset[j] += weight
+                else:
+                    weights.setdefault(column, np.zeros(len(joints)))[j] += weight
+    used = {column: weight for column, weight in weights.items() if np.any(weight)}
+    return offset, used or {"v": np.zeros(len(joints))}
+
+
+def _split(names: list[str], values: Tensor) -> dict[str, Tensor]:
+    """Rows of (B, K, n) by name, each (B, 1, n)."""
+    return dict(zip(names, values.split(1, dim=1), strict=True))
+
+
+LARGEST_EXPONENT = 20.0
+"""Larger powers than e to this count as that."""
+
+
+class ShapedLaw(nn.Module):
+    """The law of `hil.export.program`.
+
+    Args:
+        law: Of n joints.
+
+    Attributes:
+        parts: Name and size of what it carries; zeros are the start. Empty without memory.
+    """
+
+    def __init__(self, law: ShapedFriction) -> None:
+        super().__init__()
+        self.n, self.width = len(law.coulomb), law.sign_width
+        self.least, self.more = law.least_speed, law.more_speed
+        self.remembers, self.power_remembers = law.length is not None, law.power_remembers
+        self.parts: tuple[tuple[str, int], ...] = ()
+        length = np.ones(self.n) if law.length is None else law.length
+        if self.remembers:
+            self.parts = (("friction", 2 * self.n), ("last", self.n))
+        hold(
+            self,
+            coulomb=law.coulomb,
+            peak=law.static - law.coulomb,
+            stribeck_speed=law.stribeck_speed,
+            stribeck_exponent=law.stribeck_exponent,
+            power=law.power,
+            exponent=law.exponent,
+            viscous=law.viscous,
+            offset=law.offset,
+            load=law.load,
+            far=law.far,
+            far_load=law.far_load,
+            shortness=-1.0 / np.stack([length, LONG * length]),
+        )
+
+    def forward(
+        self, q: Tensor, qd: Tensor, gears: Tensor, begun: Tensor | None, carried: Carried
+    ) -> tuple[Tensor, Carried]:
+        """As `torch_friction.MemoryLaw.forward`."""
+        load = torch.abs(gears)
+        speed = torch.clamp(torch.abs(qd) + self.more, min=self.least)
+        sign = torch.tanh(qd / self.width) if self.width > 0 else torch.sign(qd)
+        share = torch.exp(-_power(speed / self.stribeck_speed, self.stribeck_exponent))
+        size = self.coulomb + self.peak * share + self.load * load
+        law = self.power * _power(speed, self.exponent)
+        plain = self.viscous * qd + self.offset
+        if not self.remembers:
+            return sign * (size + law) + plain, {}
+        z = self._advanced(carried["friction"], begun, q - carried["last"], qd)
+        near, far = (one.reshape(-1, self.n) for one in z.split(1, dim=1))
+        way = near if self.power_remembers else sign
+        torque = near * size + way * law + plain + far * (self.far + self.far_load * load)
+        return torque, {"friction": z.reshape(-1, 2 * self.n), "last": q}
+
+    def _advanced(self, states: Tensor, begun: Tensor | None, way: Tensor, qd: Tensor) -> Tensor:
+        """(B, 2, n) Dahl's states one step on: only what goes with the velocity counts as way."""
+        gone = torch.where(way * qd > 0.0, way, 0.0)
+        gone = torch.where(begun, gone, 0.0).reshape(-1, 1, self.n) if begun is not None else gone
+        toward = torch.sign(gone)
+        before = states.reshape(-1, 2, self.n)
+        return toward + (before - toward) * torch.exp(torch.abs(gone) * self.shortness)
+
+
+def _power(base: Tensor, exponent: Tensor) -> Tensor:
+    return torch.exp(torch.clamp(exponent * torch.log(base), max=LARGEST_EXPONENT))
+
+
+class StreamingTcn(nn.Module):
+    """The mean of a correction's networks, E cells of W channels side by side.
+
+    Arithmetic of the network is in single precision, as it was trained. The memory of every layer
+    is kept as what differs from the stream's first sample, which is taken to have lasted for ever
+    before: so zeros are the start, and nothing has to be filled.
+
+    Args:
+        correction: Networks that hear no torque; at least one joint keeps its own.
+
+    Attributes:
+        parts: Name and size of what it carries; zeros are the start.
+    """
+
+    def __init__(self, correction: Correction) -> None:
+        super().__init__()
+        self.settings = correction.settings
+        weights = cell_weights(correction)
+        self.n, self.networks = len(correction.kept), len(correction.networks)
+        self.own = self.settings.layout == "grouped"
+        self.cells, self.width = len(weights.enter), self.settings.width
+        self.sets = len(weights.means)
+        signs = len(self.settings.sign_widths)
+        own = 2 + signs + self.settings.base_input
+        self.features = own if self.own else 3 * self.n
+        self.rows = tuple((self.settings.kernel - 1) * d for d in self.settings.dilations)
+        layer = self.cells * self.width
+        self.parts = (
+            *((f"first {k}", layer) for k in range(len(self.rows))),
+            *((f"ring {k}", rows * layer) for k, rows in enumerate(self.rows)),
+        )
+        hold(self, **self._inputs(weights, correction))
+        hold(self, torch.float32, **self._weights(weights))
+
+    def forward(
+        self, q: Tensor, qd: Tensor, qdd: Tensor, base: Tensor, begun: Tensor, carried: Carried
+    ) -> tuple[Tensor, Carried]:
+        """What is added to the effort (B, n) of the physics, and what is carried on.
+
+        Args:
+            q: (B, n) [rad].
+            qd: (B, n) [rad/s].
+            qdd: (B, n) [rad/s²].
+            base: (B, n) effort of the physics.
+            begun: (B, 1) whether there was a sample before.
+            carried: What `parts` names.
+        """
+        h = self._entered(self._seen(q, qd, qdd, base))
+        after: Carried = {}
+        for k in range(len(self.rows)):
+            now, ring = self._flat(h).double(), carried[f"ring {k}"]
+            first = torch.where(begun, carried[f"first {k}"], now)
+            h = self._layer(k, h, first, ring)
+            after[f"first {k}"] = first
+            # The oldest row leaves, this sample's comes behind.
+            after[f"ring {k}"] = torch.cat([ring[:, now.shape[1] :], now - first], dim=1)
+        out = self._flat(torch.bmm(h, self.leave) + self.leave_bias).double()
+        added = torch.minimum(torch.maximum(out @ self.share, -self.limit), self.limit)
+        return added, after
+
+    def _seen(self, q: Tensor, qd: Tensor, qdd: Tensor, base: Tensor) -> Tensor:
+        """(S, B, F) inputs, scaled and held in the range of the training."""
+        if self.own:
+            one = [values.reshape(-1, 1, self.n) for values in (qd, qdd, base)]
+            signs = torch.tanh(one[0] * self.signs)
+            raw = torch.cat([one[0], signs, one[1], *one[2:][: self.settings.base_input]], dim=1)
+            raw = (raw @ self.kept).transpose(1, 2)
+        else:
+            raw = torch.stack([q, qd, qdd], dim=2)
+        raw = raw.reshape(-1, 1, self.sets // self.networks, self.features)
+        scaled = (raw - self.mean) * self.rate
+        held = torch.minimum(torch.maximum(scaled, self.lowest), self.highest)
+        return held.reshape(-1, self.sets, self.features).float().transpose(0, 1)
+
+    def _entered(self, seen: Tensor) -> Tensor:
+        """(E, B, W): the branches of a network see the same."""
+        branches = self.cells // self.sets
+        h = torch.bmm(seen, self.enter).reshape(self.sets, -1, branches, self.width)
+        return h.transpose(1, 2).reshape(self.cells, -1, self.width) + self.enter_bias
+
+    def _layer(self, number: int, h: Tensor, first: Tensor, ring: Tensor) -> Tensor:
+        """(E, B, W) out of (E, B, W)."""
+        rows, before = self.rows[number], self.settings.kernel - 1
+        old = ring.reshape(-1, rows, self.cells * self.width)
+        old = old[:, :: self.settings.dilations[number]]
+        old = (old + first.reshape(-1, 1, self.cells * self.width)).float()
+        old = old.reshape(-1, before, self.cells, self.width).permute(2, 0, 1, 3)
+        seen = torch.cat([old.reshape(self.cells, -1, before * self.width), h], dim=2)
+        taps, bias = getattr(self, f"taps_{number}"), getattr(self, f"bias_{number}")
+        total = torch.bmm(seen, taps) + bias
+        return h + (torch.tanh(total) if self.settings.activation == "tanh" else torch.relu(total))
+
+    def _flat(self, h: Tensor) -> Tensor:
+        """(B, E·C) of (E, B, C)."""
+        return h.transpose(0, 1).reshape(-1, self.cells * h.shape[2])
+
+    def _inputs(self, weights: CellWeights, correction: Correction) -> dict[str, FloatArray]:
+        shape = (1, self.networks, self.sets // self.networks, self.features)
+        names = {"mean": "means", "rate": "rates", "lowest": "lowest", "highest": "highest"}
+        found = {
+            name: getattr(weights, of)[:, : self.features].reshape(shape)
+            for name, of in names.items()
+        }
+        share = np.zeros((len(weights.share), self.n))
+        share[np.arange(len(share)), weights.joints] = weights.share
+        limit = np.where(correction.kept, correction.limit, 0.0)
+        return found | {
+            "share": share,
+            "limit": limit,
+            "signs": 1.0 / np.reshape(self.settings.sign_widths, (-1, 1)),
+            "kept": np.eye(self.n)[:, correction.kept],
+        }
+
+    def _weights(self, weights: CellWeights) -> dict[str, FloatArray]:
+        """Without the zeros that C fills up with, as factors of products over a cell."""
+        E, S, W, F, K = self.cells, self.sets, self.width, self.features, self.settings.kernel
+        filled = weights.biases.shape[1]
+        enter = weights.enter.reshape(E, -1, filled)[:, :F, :W]
+        leave = weights.leave.reshape(E, -1, filled)[..., :W]
+        taps = weights.taps.reshape(-1, E, K, filled, filled)[..., :W, :W]
+        biases = weights.biases.reshape(-1, E, 1, filled)[..., :W]
+        found = {
+            "enter": enter.reshape(S, E // S, F, W).transpose(0, 2, 1, 3).reshape(S, F, -1),
+            "enter_bias": weights.enter_bias.reshape(E, 1, filled)[..., :W],
+            "leave": leave.transpose(0, 2, 1),
+            "leave_bias": weights.leave_bias.reshape(E, 1, -1),
+        }
+        for number in range(len(self.rows)):
+            found[f"taps_{number}"] = taps[number].reshape(E, K * W, W)
+            found[f"bias_{number}"] = biases[number]
+        return found
+
+
+def hold(module: nn.Module, dtype: torch.dtype = torch.float64, /, **constants: FloatArray) -> None:
+    """Make each array an attribute that goes with the module: a buffer, no parameter."""
+    for name, values in constants.items():
+        # An archive keeps whole arrays; torch would take over a transposed one's order.
+        whole = np.ascontiguousarray(values)
+        module.register_buffer(name, torch.tensor(whole, dtype=dtype))
