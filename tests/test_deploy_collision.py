@@ -19,9 +19,13 @@ from collision_parts import (
 from mock_motions import blend, hold
 
 from hil.arms.payload import Payload
-from hil.control.collision import CollisionDetector
-from hil.control.collision_thresholds import CollisionThresholds
-from hil.control.rest_margin import FADES_S, RestMargin, resting_friction
+from hil.control.collision_detection import (
+    FADES_S,
+    CollisionDetector,
+    CollisionThresholds,
+    RestMargin,
+    resting_friction,
+)
 from hil.core.errors import DataError, FitError, SpecError
 from hil.dynamics import load_model
 from hil.estimators.conformal import SpeedBands
@@ -146,7 +150,7 @@ def test_few_motions_promise_little(model, calibration) -> None:
 
 
 def test_bands_that_depend_on_speed_are_the_deviation(monkeypatch) -> None:
-    monkeypatch.setattr("hil.control.collision_thresholds.resting_friction", lambda m: np.ones(1))
+    monkeypatch.setattr("hil.control.collision_detection.resting_friction", lambda m: np.ones(1))
     bands = SpeedBands(0.9, np.array([[0.01]]), np.array([[0.4, 0.2]]), np.array([[0.9, 0.9]]))
     fake = SimpleNamespace(
         bands_=bands, torque_scale_=np.array([10.0]), joint_names_=("a",), effort_kind_="current"

@@ -6,7 +6,7 @@ import pytest
 from dynamics_arms import urdf, written
 from synthetic_motion import LOAD, dwelling, nominal, plant
 
-from hil.control.gravity_chain import GravityChain
+from hil.control.hand_guiding import GravityChain
 from hil.dynamics import RobotModel
 from hil.estimators.standstill import gravity_torque
 from hil.estimators.static_model import StaticWls

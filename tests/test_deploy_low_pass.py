@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hil.control.low_pass import LowPass
+from hil.control.hand_guiding import LowPass
 from hil.core.errors import SpecError
 
 

@@ -7,7 +7,7 @@ import pytest
 import residual_models
 from synthetic_motion import GAINS, LOAD, dwelling, moving, nominal
 
-from hil.control.momentum_observer import GAP_S, MomentumObserver
+from hil.control.collision_detection import GAP_S, MomentumObserver
 from hil.core.errors import DataError, FitError, SpecError
 from hil.estimators import estimator
 from hil.export.identified_parameters import rigid_parameters

@@ -47,7 +47,7 @@ def found(folder: Path) -> Any:
 @pytest.fixture
 def few_searches(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where it is not the optimum that matters."""
-    monkeypatch.setattr("hil.control.rest_search.STARTS", 6)
+    monkeypatch.setattr("hil.control.rest_pose.STARTS", 6)
 
 
 def asked(*arguments: Any) -> Any:

@@ -11,7 +11,7 @@ from synthetic_memory import remembering
 from synthetic_motion import LOAD, nominal
 
 from hil.arms.payload import Payload
-from hil.control import compiled
+from hil.control import predictor
 from hil.control.predictor import Predictor
 from hil.core.errors import DataError, FitError, PluginError, SpecError
 from hil.estimators import estimator
@@ -158,7 +158,7 @@ def test_models_that_are_not_exported_run_in_python(model, monkeypatch) -> None:
     def refused(_: object) -> None:
         raise NotExported("cannot be exported as a program")
 
-    monkeypatch.setattr(compiled, "program_of", refused)
+    monkeypatch.setattr(predictor, "program_of", refused)
     assert not Predictor(model).compiled
     with pytest.raises(FitError, match="cannot be exported"):
         Predictor(model, compiled=True)
@@ -173,7 +173,7 @@ def bent(monkeypatch, old: str, new: str) -> None:
         assert text != found.source
         return replace(found, source=text)
 
-    monkeypatch.setattr(compiled, "c_source", source)
+    monkeypatch.setattr(predictor, "c_source", source)
 
 
 @needs_compiler
@@ -200,7 +200,7 @@ def test_a_library_that_cannot_be_loaded_is_told(model, monkeypatch) -> None:
         (folder / "hil.so").write_text("no library", "utf-8")
         return folder / "hil.so"
 
-    monkeypatch.setattr(compiled, "built", built)
+    monkeypatch.setattr(predictor, "built", built)
     with pytest.raises(PluginError, match="cannot be loaded"):
         Predictor(model)
 

@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from hil.control.brakes_fail import brakes_fail
-from hil.control.rest_pose import NEAREST, described, least_loaded
-from hil.control.resting import RestingArm
+from hil.control.rest_pose import NEAREST, RestingArm, brakes_fail, described, least_loaded
 from hil.core.errors import PlanError
 from hil.dynamics import Box, CollisionModel, Environment, Plane, RobotModel
 from hil.dynamics.sample_distances import SampleDistances

@@ -11,9 +11,7 @@ from synthetic_motion import GAINS, moving, nominal
 
 import hil
 from hil.arms.payload import Payload
-from hil.control.collision_thresholds import DEBOUNCE_S, QUANTILE
-from hil.control.momentum_observer import GAIN
-from hil.control.rest_margin import FADES_S
+from hil.control.collision_detection import DEBOUNCE_S, FADES_S, GAIN, QUANTILE
 from hil.estimators import estimator
 
 PAGE = (Path(__file__).parents[1] / "docs" / "how-to" / "detect-collisions.md").read_text("utf-8")

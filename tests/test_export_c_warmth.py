@@ -10,7 +10,7 @@ import pytest
 from synthetic_memory import remembering
 from synthetic_motion import nominal
 
-from hil.control.compiled import CompiledProgram, Pointer
+from hil.control.predictor import CompiledProgram, Pointer
 from hil.estimators import estimator
 from hil.estimators.base import prepared
 from hil.export.c import c_source

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from collision_parts import fitted
 
-from hil.control.brakes_fail import COUNTED
-from hil.control.rest_report import rest_poses
+from hil.control.rest_pose import COUNTED, rest_poses
 from hil.estimators.friction_library import FrictionLaw, Shapes
 from hil.estimators.standstill import holding_friction
 from hil_mock_robot.plant.friction import COLD_C, STRIBECK_GONE_C
@@ -73,7 +72,7 @@ def test_the_break_away_of_a_fitted_model_is_that_of_the_mock(seed):
 
 
 def test_rest_poses_of_a_model_with_memory_know_what_its_joints_hold(tmp_path, monkeypatch):
-    monkeypatch.setattr("hil.control.rest_search.STARTS", 4)
+    monkeypatch.setattr("hil.control.rest_pose.STARTS", 4)
     monkeypatch.delenv("HIL_STATION", raising=False)
     model = fitted(5)
     report = rest_poses(model.save(tmp_path / "model"), count=1)

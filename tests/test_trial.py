@@ -13,14 +13,21 @@ from typer.testing import CliRunner
 
 from hil.arms.payload import Payload
 from hil.cli.app import app
-from hil.control.trial import laws, leading
-from hil.control.trial.arm import Arm, require_simulated
-from hil.control.trial.found import found
-from hil.control.trial.gains import Spring, spring_for
-from hil.control.trial.judged import improvement, judged, relief, unaided
-from hil.control.trial.leading import lead
-from hil.control.trial.reference import leading_for, trajectory_for
-from hil.control.trial.tracking import track
+from hil.control import controllers, try_out
+from hil.control.controllers import Spring, spring_for
+from hil.control.try_out import (
+    Arm,
+    improvement,
+    judged,
+    lead,
+    leading_for,
+    relief,
+    require_simulated,
+    track,
+    trajectory_for,
+    unaided,
+)
+from hil.control.try_out_report import found
 from hil.core.errors import SpecError
 from hil.dynamics import load_model
 from hil.report.try_out_page import trial_page
@@ -106,8 +113,8 @@ def test_a_torque_that_is_no_number_brakes_the_arm() -> None:
 def test_tracking_ends_safely_when_the_arm_strays() -> None:
     asked, still = reference(), np.zeros(6)
     with bench().arm(asked.q[0]) as arm:
-        laws_of = laws.feed_forwards(model(), Payload(), asked, arm.gains)
-        pushed = dict(laws_of)[laws.GRAVITY] + [15.0, 0, 0, 0, 0, 0]
+        laws_of = controllers.feed_forwards(model(), Payload(), asked, arm.gains)
+        pushed = dict(laws_of)[controllers.GRAVITY] + [15.0, 0, 0, 0, 0, 0]
         run = track(arm, "wrong", pushed, asked, Spring(still, still))
     assert run.stopped.startswith("J1 was 20° off")
     assert np.isnan(run.rms).all()
@@ -116,30 +123,32 @@ def test_tracking_ends_safely_when_the_arm_strays() -> None:
 def test_the_model_ahead_is_the_torque_the_true_arm_takes() -> None:
     asked = reference()
     gains = np.array([joint.drive.gain_nm_a for joint in draw_truth("ur5", 5).joints])
-    ahead = dict(laws.feed_forwards(model(), Payload(), asked, gains))
-    assert list(ahead) == list(laws.TOLD)
-    assert not ahead[laws.NOTHING].any()
+    ahead = dict(controllers.feed_forwards(model(), Payload(), asked, gains))
+    assert list(ahead) == list(controllers.TOLD)
+    assert not ahead[controllers.NOTHING].any()
     rigid = model().robot_.inverse_dynamics(asked.q, asked.qd, asked.qdd)
-    assert np.array_equal(ahead[laws.NOMINAL], rigid)
+    assert np.array_equal(ahead[controllers.NOMINAL], rigid)
     at_rest = asked.t < 0
-    assert ahead[laws.MODEL][at_rest] == pytest.approx(ahead[laws.GRAVITY][at_rest], abs=1e-6)
+    assert ahead[controllers.MODEL][at_rest] == pytest.approx(
+        ahead[controllers.GRAVITY][at_rest], abs=1e-6
+    )
 
 
 def test_a_load_is_part_of_every_law_but_none() -> None:
     asked, gains = reference(), np.ones(6)
     load = Payload(2.0, (0.0, 0.0, 0.05))
-    bare = dict(laws.feed_forwards(model(), Payload(), asked, gains))
-    loaded = dict(laws.feed_forwards(model(), load, asked, gains))
-    more = {law: np.abs(loaded[law] - bare[law]).max() for law in laws.TOLD}
-    assert more[laws.NOTHING] == 0.0
-    assert min(more[law] for law in laws.TOLD if law != laws.NOTHING) > 0.5
+    bare = dict(controllers.feed_forwards(model(), Payload(), asked, gains))
+    loaded = dict(controllers.feed_forwards(model(), load, asked, gains))
+    more = {law: np.abs(loaded[law] - bare[law]).max() for law in controllers.TOLD}
+    assert more[controllers.NOTHING] == 0.0
+    assert min(more[law] for law in controllers.TOLD if law != controllers.NOTHING) > 0.5
 
 
 def test_a_network_is_asked_at_the_rate_of_its_training(monkeypatch) -> None:
     asked = reference()
-    whole = laws.predicted(model(), Payload(), asked)
-    monkeypatch.setattr("hil.control.trial.laws.rate_of", lambda model: 125.0)
-    slower = laws.predicted(model(), Payload(), asked)
+    whole = controllers.predicted(model(), Payload(), asked)
+    monkeypatch.setattr("hil.control.controllers.rate_of", lambda model: 125.0)
+    slower = controllers.predicted(model(), Payload(), asked)
     assert slower.shape == whole.shape
     assert not np.array_equal(slower, whole)
     assert np.abs(slower - whole)[asked.t < -0.01].max() < 1e-9
@@ -159,8 +168,8 @@ def test_the_hand_carries_an_arm_whose_drives_are_off(monkeypatch) -> None:
 def test_the_model_tracks_better_and_relieves_the_hand(trial) -> None:
     made, *_ = trial
     assert improvement(made) > 3.0
-    assert np.mean(relief(made, leading.FRICTION, leading.NOTHING)) < 0.7
-    assert np.all(relief(made, leading.FRICTION, leading.GRAVITY) < 0.95)
+    assert np.mean(relief(made, try_out.FRICTION, try_out.NOTHING)) < 0.7
+    assert np.all(relief(made, try_out.FRICTION, try_out.GRAVITY) < 0.95)
     assert not any(run.stopped for run in (*made.tracked, *made.led))
 
 
@@ -170,7 +179,7 @@ def test_the_page_and_the_tables_can_be_shown(trial) -> None:
     assert page.key_figures[0].value.endswith("×")
     assert "plotly" in (out / "report.html").read_text("utf-8")
     document = json.loads((out / "try-out.json").read_text("utf-8"))
-    assert [run["law"] for run in document["tracking"]] == list(laws.TOLD)
+    assert [run["law"] for run in document["tracking"]] == list(controllers.TOLD)
     assert len(document["hand"]["led"][3]["rms_nm"]) == 6
     assert document["serial"] == made.serial == "arm-full-5"
 
@@ -199,7 +208,7 @@ def test_a_braked_run_without_the_model_does_not_speak_against_it(trial) -> None
     braked = replace(made.tracked[0], stopped="J2 was 20° off at 1.00 s")
     other = replace(made, tracked=(braked, *made.tracked[1:]))
     assert [criterion.met for criterion in judged(other)][:3] == [True] * 3
-    assert unaided(other) == laws.NOMINAL
+    assert unaided(other) == controllers.NOMINAL
     assert any("Without the model, no model, the arm was braked" in t for t in found(other).summary)
 
 

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from hil import api
 from hil.cli.app import app
-from hil.control.trial.settings import FRICTION_SHARE
+from hil.control.try_out_settings import FRICTION_SHARE
 from hil.core.errors import HilError, RecordingError, Rejected, SpecError
 
 pytestmark = pytest.mark.quick

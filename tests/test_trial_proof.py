@@ -7,9 +7,9 @@ import pytest
 from trial_parts import of_arm
 
 import hil
-from hil.control.trial import leading
-from hil.control.trial.judged import judged, relief
-from hil.control.trial.settings import HALF
+from hil.control import try_out
+from hil.control.try_out import judged, relief
+from hil.control.try_out_settings import HALF
 
 pytestmark = pytest.mark.proof
 
@@ -25,5 +25,5 @@ def test_compensation_halves_the_effort_of_the_hand(tmp_path, arm, seed) -> None
     folder = of_arm(arm, seed).save(tmp_path / "model")
     trial = hil.try_out(folder, tmp_path / "out", station=station, robot="arm")
     assert [criterion.name for criterion in judged(trial) if not criterion.met] == []
-    for over in (leading.NOTHING, leading.DATASHEET, leading.GRAVITY):
-        assert np.all(relief(trial, leading.FRICTION, over) <= HALF)
+    for over in (try_out.NOTHING, try_out.DATASHEET, try_out.GRAVITY):
+        assert np.all(relief(trial, try_out.FRICTION, over) <= HALF)

@@ -9,14 +9,19 @@ import pytest
 from trial_parts import bench, model, reference, way
 
 from hil.arms.payload import Payload
+from hil.control import try_out
+from hil.control.controllers import Spring, spring_for
 from hil.control.hand_guiding import HandGuiding
-from hil.control.trial import leading, runs, trial
-from hil.control.trial.arm import RATE_HZ, Arm, require_simulated
-from hil.control.trial.gains import Spring, spring_for
-from hil.control.trial.judged import relief
-from hil.control.trial.leading import HAND_FIRMNESS, lead
-from hil.control.trial.reference import Leading, spec_of
-from hil.control.trial.settings import FRICTION_SHARE, HALF
+from hil.control.try_out import (
+    HAND_FIRMNESS,
+    Arm,
+    Leading,
+    lead,
+    relief,
+    require_simulated,
+    spec_of,
+)
+from hil.control.try_out_settings import FRICTION_SHARE, HALF, RATE_HZ
 from hil.core import plugins
 from hil.core.errors import SpecError
 from hil.planning.build import build_plan
@@ -53,15 +58,15 @@ def test_every_law_has_the_same_controller_and_every_way_the_same_hand(monkeypat
     def led(arm, name, drives, asked, hand):
         given.append(hand)
 
-    monkeypatch.setattr(runs, "track", track)
-    monkeypatch.setattr(runs, "lead", led)
+    monkeypatch.setattr(try_out, "track", track)
+    monkeypatch.setattr(try_out, "lead", led)
     pd, hand = Spring(np.ones(6), np.ones(6)), Spring(np.ones(6), np.ones(6))
-    runs.tracked_by(model(), bench(), reference(), pd, print)
+    try_out.tracked_by(model(), bench(), reference(), pd, print)
     assert len(given) == 4
     assert all(one is pd for one in given)
-    helped, _ = runs.guidings(model(), bench(), FRICTION_SHARE)
+    helped, _ = try_out.guidings(model(), bench(), FRICTION_SHARE)
     given.clear()
-    runs.led_with(helped, model(), bench(), way(), hand, print)
+    try_out.led_with(helped, model(), bench(), way(), hand, print)
     assert len(given) == 4
     assert all(one is hand for one in given)
 
@@ -69,16 +74,16 @@ def test_every_law_has_the_same_controller_and_every_way_the_same_hand(monkeypat
 def test_the_datasheet_carries_the_arm_too(monkeypatch) -> None:
     given = {}
     monkeypatch.setattr(
-        runs, "lead", lambda arm, name, drives, way, hand: given.update({name: drives})
+        try_out, "lead", lambda arm, name, drives, way, hand: given.update({name: drives})
     )
     load = Payload(2.0, (0.0, 0.0, 0.05))
     loaded = bench()
     loaded = type(loaded)(loaded.name, loaded.robot, load)
-    runs.led_with({}, model(), loaded, way(), Spring(np.ones(6), np.ones(6)), print)
+    try_out.led_with({}, model(), loaded, way(), Spring(np.ones(6), np.ones(6)), print)
     q = way().start
     true = model().robot_.with_payload(load).gravity(q[None])[0]
-    assert given[leading.DATASHEET](q, np.zeros(6)) == pytest.approx(true)
-    assert given[leading.NOTHING] is None
+    assert given[try_out.DATASHEET](q, np.zeros(6)) == pytest.approx(true)
+    assert given[try_out.NOTHING] is None
 
 
 def test_an_arm_that_strays_from_the_hand_is_braked() -> None:
@@ -98,7 +103,7 @@ def test_an_arm_that_strays_from_the_hand_is_braked() -> None:
 
 def test_trembling_of_the_measured_velocity_does_not_reach_the_drives() -> None:
     guiding = HandGuiding(model(), friction_share=FRICTION_SHARE)
-    drives = runs.in_torque(guiding, SimpleNamespace(gains=np.ones(6)))
+    drives = try_out.in_torque(guiding, SimpleNamespace(gains=np.ones(6)))
     q, still = way().start, np.zeros(6)
     for k in range(200):
         torque = drives(q, np.full(6, 0.1 * (-1) ** k))
@@ -108,14 +113,14 @@ def test_trembling_of_the_measured_velocity_does_not_reach_the_drives() -> None:
 
 @pytest.mark.parametrize("filtered", [True, False])
 def test_an_arm_comes_to_rest_behind_the_filter_alone(monkeypatch, filtered) -> None:
-    monkeypatch.setattr(leading, "ALONE_S", 1.5)
+    monkeypatch.setattr(try_out, "ALONE_S", 1.5)
     if not filtered:
-        monkeypatch.setattr(runs, "LowPass", lambda cutoff, rate: lambda qd: qd)
+        monkeypatch.setattr(try_out, "LowPass", lambda cutoff, rate: lambda qd: qd)
     short = Leading(way().start, way().swing, 0.5)
     hand = spring_for(model().robot_, short.start[None]).firmer(HAND_FIRMNESS)
-    helped, _ = runs.guidings(model(), bench(), FRICTION_SHARE)
+    helped, _ = try_out.guidings(model(), bench(), FRICTION_SHARE)
     with bench().arm(short.start) as arm:
-        run = lead(arm, "led", runs.in_torque(helped[leading.FRICTION], arm), short, hand)
+        run = lead(arm, "led", try_out.in_torque(helped[try_out.FRICTION], arm), short, hand)
     assert np.isfinite(run.rest_s) == filtered
 
 
@@ -132,29 +137,31 @@ def test_a_trial_of_a_seed_is_no_experiment_of_that_seed() -> None:
 
 def test_what_a_static_model_is_not_worth_is_said() -> None:
     static = SimpleNamespace(series_kinds=(("dwell",),), estimator="static-wls")
-    assert "all that it gives ahead is gravity" in next(trial._about(static, "a", "a"))
-    assert not list(trial._about(model(), "a", "a"))
+    assert "all that it gives ahead is gravity" in next(try_out._about(static, "a", "a"))
+    assert not list(try_out._about(model(), "a", "a"))
 
 
 def test_joints_that_are_led_less_far_are_named() -> None:
     short = Leading(way().start, np.radians([20.0, -20, 10, 20, 20, 20]))
-    (told,) = trial._short_ways(short, model().joint_names_)
+    (told,) = try_out._short_ways(short, model().joint_names_)
     assert told.endswith(f"{model().joint_names_[2]} 10°")
     assert not list(
-        trial._short_ways(Leading(short.start, np.full(6, np.radians(20.0))), model().joint_names_)
+        try_out._short_ways(
+            Leading(short.start, np.full(6, np.radians(20.0))), model().joint_names_
+        )
     )
 
 
 def test_a_hand_needs_at_most_half_of_the_effort(monkeypatch) -> None:
     """In three quarters of the time; as `hil try-out` has it in test_trial_proof.py."""
-    monkeypatch.setattr(leading, "ALONE_S", 0.0)
+    monkeypatch.setattr(try_out, "ALONE_S", 0.0)
     slow = Leading(way().start, np.full(6, np.radians(20.0)), 3.0)
     hand = spring_for(model().robot_, slow.start[None]).firmer(HAND_FIRMNESS)
-    helped, _ = runs.guidings(model(), bench(), FRICTION_SHARE)
+    helped, _ = try_out.guidings(model(), bench(), FRICTION_SHARE)
     led = []
-    for name in (leading.NOTHING, leading.FRICTION):
+    for name in (try_out.NOTHING, try_out.FRICTION):
         with bench().arm(slow.start) as arm:
-            drives = runs.in_torque(helped[name], arm) if name in helped else None
+            drives = try_out.in_torque(helped[name], arm) if name in helped else None
             led.append(lead(arm, name, drives, slow, hand))
     made = SimpleNamespace(led=led, joint_names=model().joint_names_)
-    assert np.all(relief(made, leading.FRICTION, leading.NOTHING) <= HALF)
+    assert np.all(relief(made, try_out.FRICTION, try_out.NOTHING) <= HALF)

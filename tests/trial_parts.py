@@ -16,8 +16,9 @@ from mock_motions import fourier
 from hil import api
 from hil.arms import load_arm
 from hil.arms.payload import Payload
-from hil.control.trial.arm import RATE_HZ, Bench
-from hil.control.trial.reference import Leading, Reference
+from hil.control.controllers import Reference
+from hil.control.try_out import Bench, Leading
+from hil.control.try_out_settings import RATE_HZ
 from hil.data import Conditions, Dataset
 from hil.dynamics import load_model
 from hil.estimators import estimator
@@ -119,6 +120,6 @@ def way():
 
 def shorten(monkeypatch):
     """Have a whole trial take a few seconds of simulated time."""
-    monkeypatch.setattr("hil.control.trial.leading.ALONE_S", 1.5)
-    monkeypatch.setattr("hil.control.trial.trial.trajectory_for", lambda bench, seed: reference())
-    monkeypatch.setattr("hil.control.trial.trial.leading_for", lambda bench: way())
+    monkeypatch.setattr("hil.control.try_out.ALONE_S", 1.5)
+    monkeypatch.setattr("hil.control.try_out.trajectory_for", lambda bench, seed: reference())
+    monkeypatch.setattr("hil.control.try_out.leading_for", lambda bench: way())

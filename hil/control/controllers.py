@@ -1,16 +1,20 @@
-"""What a controller gives ahead of any error: four ways, from nothing to the whole model."""
+"""What a controller of joints gives: a PD spring, and four laws ahead of any error.
+
+The spring (`spring_for`) is made from what the maker publishes, so that all laws share it. The laws
+(`feed_forwards`) reach from nothing to the whole model.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
 from hil.arms import Payload
 from hil.control.hand_guiding import HandGuiding
 from hil.control.predictor import Predictor
-from hil.control.trial.arm import RATE_HZ
-from hil.control.trial.reference import Reference
+from hil.control.try_out_settings import RATE_HZ
 from hil.core import FloatArray
 from hil.dynamics import RobotModel
 from hil.estimators import RobotEstimator
@@ -27,6 +31,21 @@ TOLD = {
     NOMINAL: "rigid body with the maker's masses, without friction and rotors",
     MODEL: "everything the model says of the motion wanted: Predictor, friction and network",
 }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reference:
+    """What the joints are to do, at `RATE_HZ`; the first second is at rest.
+
+    Attributes:
+        t: (N,) time from the beginning of the motion [s], negative before it.
+        q, qd, qdd: (N, n) [rad, rad/s, rad/s²].
+    """
+
+    t: FloatArray
+    q: FloatArray
+    qd: FloatArray
+    qdd: FloatArray
 
 
 def feed_forwards(
@@ -76,6 +95,10 @@ def predicted(model: RobotEstimator, payload: Payload, reference: Reference) -> 
     return effort if len(t) == len(reference.t) else _at(reference.t, t, effort)
 
 
+def _at(t: FloatArray, known: FloatArray, rows: FloatArray) -> FloatArray:
+    return np.column_stack([np.interp(t, known, column) for column in rows.T])
+
+
 def rate_of(model: RobotEstimator) -> float:
     """Samples per second that the model has to be asked at [Hz]; the controller's where any do."""
     if isinstance(model, CorrectedModel) and np.any(model.correction_.kept):
@@ -83,5 +106,37 @@ def rate_of(model: RobotEstimator) -> float:
     return RATE_HZ
 
 
-def _at(t: FloatArray, known: FloatArray, rows: FloatArray) -> FloatArray:
-    return np.column_stack([np.interp(t, known, column) for column in rows.T])
+BANDWIDTH_RAD_S = 20.0
+DAMPING = 0.7
+
+FULL_RAD = 0.35
+"""Deflection that takes the whole torque limit, at most: nominal inertias lack the rotors, which
+are most of a wrist's."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spring:
+    """A spring and a damper per joint.
+
+    Attributes:
+        stiffness: (n,) [N·m/rad].
+        damping: (n,) [N·m·s/rad].
+    """
+
+    stiffness: FloatArray
+    damping: FloatArray
+
+    def torque(self, error: FloatArray, rate: FloatArray) -> FloatArray:
+        """(n,) [N·m] for a position error (n,) [rad] and its rate (n,) [rad/s]."""
+        return self.stiffness * error + self.damping * rate
+
+    def firmer(self, factor: float) -> Spring:
+        """With so many times the bandwidth."""
+        return Spring(self.stiffness * factor**2, self.damping * factor)
+
+
+def spring_for(robot: RobotModel, q: FloatArray) -> Spring:
+    """PD gains for the inertia that each joint carries on average over the poses `q` (N, n)."""
+    inertia = np.diagonal(robot.mass_matrix(q), axis1=1, axis2=2).mean(axis=0)
+    stiffness = np.maximum(inertia * BANDWIDTH_RAD_S**2, robot.effort_max / FULL_RAD)
+    return Spring(stiffness, 2 * DAMPING * stiffness / BANDWIDTH_RAD_S)

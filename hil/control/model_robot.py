@@ -1,4 +1,4 @@
-"""What stands around the arm of a model: its robot in a station, found and compared."""
+"""The robot of a station that a model is of, and what stands around it."""
 
 from __future__ import annotations
 

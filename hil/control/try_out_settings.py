@@ -1,6 +1,9 @@
-"""What a trial is made with when nobody says otherwise."""
+"""What a trial is made with when nobody says otherwise; light, for the command line reads it."""
 
 from __future__ import annotations
+
+RATE_HZ = 1000.0
+"""Of the controller."""
 
 FRICTION_SHARE = 0.7
 """Of the dry friction, compensated while a hand leads. `HandGuiding` by itself takes less: without
