@@ -11,7 +11,7 @@ from hil import api
 from hil.estimators.base import load_model_file
 from hil.evaluation.fitting import load_source, usable_part
 from hil.maintenance.simulation import with_options
-from hil.models.drift.features import Features, features_of
+from hil.models.drift_features import Features, features_of
 from hil.planning.experiment import Experiment
 from hil.planning.experiment import load as load_experiment
 

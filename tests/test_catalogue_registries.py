@@ -15,8 +15,7 @@ from hil.cli.app import app
 from hil.cli.pruning import known_registries
 from hil.core.errors import RegistryError
 from hil.estimators import estimator
-from hil.models.facts import facts_of
-from hil.models.model_registry import Registry
+from hil.models.model_registry import Registry, facts_of
 from hil.models.pointers import FILE, leave_pointer, pointed
 
 pytestmark = pytest.mark.quick

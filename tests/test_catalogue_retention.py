@@ -461,7 +461,7 @@ def test_the_model_of_a_run_keeps_it_by_what_is_noted_when_it_is_registered(
     from synthetic_motion import moving, nominal
 
     from hil.estimators import estimator
-    from hil.models.facts import facts_of
+    from hil.models.model_registry import facts_of
 
     run = run_number(runs, 4)
     motion = moving(1, 2, 3)
@@ -479,7 +479,7 @@ def test_the_model_of_a_run_keeps_it_by_what_is_noted_when_it_is_registered(
 def test_recordings_of_one_name_are_told_apart_when_a_model_is_registered(
     runs: Path, tmp_path: Path
 ) -> None:
-    from hil.models.facts import facts_of
+    from hil.models.model_registry import facts_of
 
     model = tmp_path / "model"
     model.mkdir()

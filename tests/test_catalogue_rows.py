@@ -11,8 +11,7 @@ from report_runs import fourier_plan, robot_facts, rows_of_plan, write_run
 
 from hil import api
 from hil.core.errors import RegistryError
-from hil.models.facts import facts_of
-from hil.models.model_registry import Registry
+from hil.models.model_registry import Registry, facts_of
 from hil.runs.retention import Policy, decide
 
 ALL = Policy(older=timedelta(days=1))

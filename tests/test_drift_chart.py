@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from hil.core.errors import DataError
-from hil.models.drift.causes import causes, told
-from hil.models.drift.chart import REFERENCE, charted
-from hil.models.drift.features import Features, feature_names
+from hil.models.drift import REFERENCE, causes, charted, told
+from hil.models.drift_features import Features, feature_names
 
 JOINTS = tuple(f"j{k + 1}" for k in range(6))
 NAMES = feature_names(JOINTS)

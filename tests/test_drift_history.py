@@ -15,7 +15,7 @@ import hil
 from hil.cli.app import app
 from hil.core.errors import DataError, RegistryError
 from hil.estimators.model_file import plain
-from hil.models.drift.history import PROBES_FILE, assess, identity, probes_of
+from hil.models.drift import PROBES_FILE, assess, identity, probes_of
 from hil.models.model_registry import Registry
 from hil.models.pointers import pointed
 

@@ -14,8 +14,7 @@ from typer.testing import CliRunner
 import hil
 from hil.cli.app import app
 from hil.core.errors import DataError
-from hil.models.drift.bands import Banded, banded
-from hil.models.drift.history import assess
+from hil.models.drift import Banded, assess, banded
 from hil.models.model_registry import Registry
 from hil.report import drift_page as figures
 from hil.report.drift_page import drift_page, in_time

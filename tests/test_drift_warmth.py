@@ -10,7 +10,7 @@ from synthetic_motion import moving
 
 from hil.core.errors import DataError
 from hil.data.dataset import Dataset
-from hil.models.drift.warmth import friction_change
+from hil.models.drift import friction_change
 
 PER_K = np.array([-0.01, 0.0, 0.002, -0.004, -0.01, -0.02])
 

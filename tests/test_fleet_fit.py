@@ -25,12 +25,19 @@ from hil.core.errors import DataError, FitError
 from hil.core.executor import one_thread
 from hil.data.dataset import Dataset
 from hil.maintenance.fleet import experiment_for, spec_for
-from hil.models import fleet_fit_task as fit_task
-from hil.models import fleet_fitting as fitting
-from hil.models.drift.history import identity
-from hil.models.fleet_fit_task import FitResult, How, fit_at, fit_learnt, learnt_of
-from hil.models.fleet_fitting import computed, fit_runs
-from hil.models.fleet_robot_fit import kept, registered
+from hil.models import fleet
+from hil.models.drift import identity
+from hil.models.fleet import (
+    FitResult,
+    How,
+    computed,
+    fit_at,
+    fit_learnt,
+    fit_runs,
+    kept,
+    learnt_of,
+    registered,
+)
 from hil.models.model_registry import Registry
 from hil.spec.experiment import ContradictedLimit, HoldOut, RmseLimit
 from hil.workflow.running import run as run_experiment
@@ -100,7 +107,7 @@ def test_a_worker_that_sees_no_run_is_sent_the_samples_and_finds_the_same_bits(
     def hidden(address: str | None) -> Iterator[Executor]:
         yield Elsewhere(runs[0].parents[1])
 
-    monkeypatch.setattr(fitting, "cluster", hidden)
+    monkeypatch.setattr(fleet, "cluster", hidden)
     counts: list[int] = []
     found = fit_runs(runs, HOW, workers=1, dask="tcp://127.0.0.1:8786", tell=counts.append)
     assert [one.files for one in found] == [one.files for one in results]
@@ -121,7 +128,7 @@ def test_a_dask_cluster_finds_the_same_bits_by_path_and_by_samples(
     ) as made:
         seen = fit_runs(runs, HOW, workers=1, dask=made.scheduler_address)
         # workers find another run there than the one they are asked for
-        monkeypatch.setattr(fitting, "identity", lambda run: ("another", ""))
+        monkeypatch.setattr(fleet, "identity", lambda run: ("another", ""))
         sent = fit_runs(runs, HOW, workers=1, dask=made.scheduler_address)
     for found in (seen, sent):
         assert [one.files for one in found] == [one.files for one in results]
@@ -133,7 +140,7 @@ def test_what_a_dead_process_took_along_is_computed_again(tmp_path: Path) -> Non
 
 
 def test_what_always_kills_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fitting, "TRIES", 1)
+    monkeypatch.setattr(fleet, "TRIES", 1)
     with pytest.raises(FitError, match="1 times a process died"):
         computed([always], 1, None, lambda done: None)
 
@@ -224,7 +231,7 @@ def test_what_cannot_be_held_out_is_an_error_and_no_model(
     def nothing(data: Dataset, how: HoldOut) -> None:
         raise DataError("the sides share samples")
 
-    monkeypatch.setattr(fit_task, "hold_out", nothing)
+    monkeypatch.setattr(fleet, "hold_out", nothing)
     found = fit_at(runs[0], identity(runs[0])[0], HOW)
     assert found is not None
     assert (found.files, found.error) == ({}, "the sides share samples")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil.models.fleet_outliers import FAMILY_WISE, FEWEST, huber, standing
+from hil.models.fleet import FAMILY_WISE, FEWEST, huber, standing
 
 YEARS, JOINTS = np.linspace(1.0, 10.0, 40), 6
 TREND = np.array([0.02, 0.03, 0.0, 0.01, 0.02, 0.02])

@@ -18,14 +18,18 @@ from hil.cli.app import app
 from hil.core.errors import DataError
 from hil.core.executor import one_thread
 from hil.maintenance.fleet import experiment_for, probe_fleet, spec_for
-from hil.models.drift.features import Features, feature_names
-from hil.models.drift.history import Probe
-from hil.models.fleet_fit_task import FitResult
+from hil.models.drift import Probe
+from hil.models.drift_features import Features, feature_names
+from hil.models.fleet import (
+    FitResult,
+    RobotFit,
+    Survey,
+    Surveyed,
+    registered,
+    standing,
+    survey_fleet,
+)
 from hil.models.fleet_folder import FleetFolder
-from hil.models.fleet_outliers import standing
-from hil.models.fleet_robot_fit import RobotFit, registered
-from hil.models.fleet_survey import Survey, survey_fleet
-from hil.models.fleet_surveyed import Surveyed
 from hil.models.model_registry import Registry
 from hil.report.fleet_page import fleet_page, standing_out
 from hil.report.page import page_html

@@ -18,8 +18,8 @@ from hil.data.dataset import Conditions, Dataset
 from hil.evaluation.evaluation import Errors, Evaluation
 from hil.evaluation.fitting import FitReport, Fitted
 from hil.evaluation.validation import Validation
-from hil.models.compare import Comparison
 from hil.models.model_registry import Registry
+from hil.models.promotion import Comparison
 from hil.models.version import ModelVersion
 from hil.studies.result import StudyResult, Table
 from hil.workflow.running import RunReport

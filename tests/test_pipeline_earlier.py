@@ -11,8 +11,8 @@ import pytest
 
 from hil.maintenance import reidentifying
 from hil.maintenance.reidentifying import MOST, earlier_probes
-from hil.models.drift.features import Features
-from hil.models.drift.history import Probe
+from hil.models.drift import Probe
+from hil.models.drift_features import Features
 from hil.models.model_registry import Registry
 
 

@@ -16,7 +16,7 @@ from hil.core.errors import PreflightFailed, RobotError
 from hil.estimators import estimator
 from hil.maintenance.reidentifying import Measuring, run_of
 from hil.maintenance.simulation import with_options
-from hil.models.facts import facts_of
+from hil.models.model_registry import facts_of
 from hil.planning.experiment import Experiment
 from hil.planning.experiment import load as load_experiment
 from hil.recording.run_directory import RunDirectory

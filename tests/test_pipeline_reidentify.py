@@ -20,7 +20,7 @@ from hil.maintenance.ledger import Job
 from hil.maintenance.reidentifying import Measuring, Reidentification, as_it_is, reidentification
 from hil.maintenance.simulation import with_options
 from hil.maintenance.stages import FOLDER
-from hil.models.drift.bands import banded
+from hil.models.drift import banded
 from hil.models.model_registry import Registry
 from hil.planning.experiment import Experiment
 from hil.spec.schedule import ScheduleSpec, load_schedule_spec

@@ -14,9 +14,8 @@ import pytest
 from null_probes import FIRST_SEED, probes
 
 from hil.core.executor import processes
-from hil.models.drift.causes import causes
-from hil.models.drift.chart import FALSE_ALARM, charted
-from hil.models.drift.features import Features
+from hil.models.drift import FALSE_ALARM, causes, charted
+from hil.models.drift_features import Features
 
 ROBOTS, PROBES, WORN = 20, 50, 3
 NAME = "shoulder_lift_joint friction"

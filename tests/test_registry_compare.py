@@ -14,8 +14,7 @@ from hil.data import Dataset
 from hil.estimators import estimator
 from hil.estimators.base import RobotEstimator
 from hil.estimators.model_file import Training
-from hil.models.blocks import BLOCK_S
-from hil.models.compare import Comparison, compare, fresh_part
+from hil.models.promotion import BLOCK_S, Comparison, compare, fresh_part
 
 NOISE_A = 0.05
 JOINTS = tuple(f"j{k + 1}" for k in range(6))

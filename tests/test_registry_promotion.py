@@ -14,8 +14,7 @@ from typer.testing import CliRunner
 import hil
 from hil.cli.app import app
 from hil.core.errors import DataError, Rejected, SpecError
-from hil.models.facts import facts_of
-from hil.models.model_registry import Registry
+from hil.models.model_registry import Registry, facts_of
 
 TRAINED, FRESH = (1, 2, 3), (11, 12, 13, 14)
 

@@ -16,7 +16,7 @@ from browser.looking import contrasts_below, enter, problems_of, tab_to, until
 from live_run import until as wait
 
 import hil
-from hil.models.facts import facts_of
+from hil.models.model_registry import facts_of
 from hil.recording.run_directory import RunDirectory
 
 pytestmark = [pytest.mark.wire, pytest.mark.timeout(240)]

@@ -13,8 +13,7 @@ from starlette.testclient import TestClient
 import hil
 from hil.dashboard.app import create_app
 from hil.dashboard.settings import Settings
-from hil.models.facts import facts_of
-from hil.models.model_registry import Registry
+from hil.models.model_registry import Registry, facts_of
 
 DWELL = Path(__file__).parents[1] / "experiments" / "ci_dwell_12.yaml"
 SLY = "<img src=x onerror=alert(1)>"

@@ -413,6 +413,7 @@ class MomentumObserver:
 FADES_S = 0.1
 """Time constant after a start: the way in which friction comes round, and the observer's lag."""
 
+
 class RestMargin:
     """Dry friction of joints that stand, or stood just before.
 

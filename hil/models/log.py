@@ -5,6 +5,9 @@ it. Every line carries the digest of the line before, so that a changed or lost 
 successor is found. For the last line, `head.json` beside the log holds the number of lines and the
 digest of the last one. It is written after the line: killed between the two, it is one line behind,
 and the next writer brings it up to date. Anything else is damage, which only `repair` may rewrite.
+
+One writer at a time holds the lock of a name (`writing`); readers need none, as nothing that is
+there is ever changed.
 """
 
 from __future__ import annotations
@@ -13,7 +16,8 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -632,3 +636,40 @@ def _set_aside(folder: Path) -> Path:
     finally:
         shutil.rmtree(draft, ignore_errors=True)
     return aside
+
+
+LOCK_FILE = ".lock"
+PATIENCE_S = 30.0
+"""Longest wait for another writer: registering copies files, promoting writes a line."""
+
+_POLL_S = 0.01
+
+
+@contextmanager
+def writing(folder: Path, patience_s: float = PATIENCE_S) -> Iterator[None]:
+    """Hold the lock of a name. The kernel frees it when its holder dies, however it does.
+
+    Raises:
+        RegistryError: It cannot be made, or another process does not let it go.
+    """
+    from filelock import FileLock, Timeout
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        # A lock file that survives its holder would keep a registry closed: never a soft lock.
+        lock = FileLock(folder / LOCK_FILE, timeout=patience_s, fallback_to_soft=False)
+        lock.acquire(poll_interval=_POLL_S)
+    except Timeout as error:
+        raise RegistryError(
+            f"another process has been writing in {folder} for {patience_s:g} s",
+            hint="try again when it is done",
+        ) from error
+    except OSError as error:
+        raise RegistryError(
+            f"cannot write in {folder}: {error.strerror or error}",
+            hint="name a registry you may write to with --registry, on a file system with locks",
+        ) from error
+    try:
+        yield
+    finally:
+        lock.release()

@@ -2,20 +2,32 @@
 
 Whatever is committed stays: folders appear whole, the log only grows, and nothing is deleted. A
 process that dies between the two leaves a version that the log does not know yet; the next writer
-enters it.
+enters it. What is known of where a model came from is collected when it is registered
+(`facts_of`).
 """
 
 from __future__ import annotations
 
 import hashlib
+import json
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from hil.core import AnyPath, RegistryError, SpecError, card, closest, path_of
-from hil.estimators import RobotEstimator, load_model_file
-from hil.models.facts import facts_of
+from hil.core import (
+    AnyPath,
+    DataError,
+    RegistryError,
+    SpecError,
+    card,
+    closest,
+    path_of,
+    read_json,
+    sha256_of,
+)
+from hil.estimators import MODEL_FILE, RobotEstimator, load_model_file
+from hil.evaluation import EVALUATION_FILE
 from hil.models.log import (
     HEAD_FILE,
     LOG_FILE,
@@ -32,9 +44,9 @@ from hil.models.log import (
     repair,
     settle,
     write_view,
+    writing,
 )
 from hil.models.pointers import leave_pointer
-from hil.models.registry_lock import writing
 from hil.models.version import (
     VERSION_FILE,
     ModelVersion,
@@ -44,12 +56,10 @@ from hil.models.version import (
     read_version,
     write_version,
 )
-from hil.recording import operator, utc_now
+from hil.recording import PARTIAL_SUFFIX, operator, package_versions, source_revision, utc_now
 
 FEW = 5
 """Names that a hint lists."""
-
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}\Z")
 
 
 def registry(folder: AnyPath = "registry") -> Registry:
@@ -163,7 +173,7 @@ class Registry:
         Args:
             name: Such as the robot's in its station.
             model: Folder; read once, so that it may change or go afterwards.
-            facts: What is known of it; by default what `hil.models.facts.facts_of` tells.
+            facts: What is known of it; by default what `hil.models.model_registry.facts_of` tells.
             challenger: Make it the one to be compared with the champion.
 
         Raises:
@@ -336,6 +346,10 @@ class Registry:
         return _view(home)
 
 
+def _label(number: int) -> str:
+    return f"v{number}" if number else "–"
+
+
 def _facts(model: Path, facts: Mapping[str, Any] | None) -> dict[str, Any]:
     """What was told, or what the model's folder and its run tell."""
     if facts is None:
@@ -354,10 +368,6 @@ def _sources(model: Path, facts: Mapping[str, Any]) -> list[Path]:
     return [model, *(Path(str(one)) for one in (folder, *facts.get("data", ())) if one)]
 
 
-def _label(number: int) -> str:
-    return f"v{number}" if number else "–"
-
-
 def _has_log(home: Path) -> bool:
     return (home / LOG_FILE).exists() or (home / HEAD_FILE).exists()
 
@@ -366,6 +376,9 @@ def _view(home: Path) -> Aliases:
     aliases = Aliases.after(read_log(home))
     write_view(home, aliases)
     return aliases
+
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}\Z")
 
 
 def require_name(name: str) -> None:
@@ -379,3 +392,98 @@ def require_name(name: str) -> None:
             f"{name!r} cannot be the name of a model",
             hint="use letters, digits, dots, dashes and underscores, at most 64",
         )
+
+
+FIT_FOLDER = "fit"
+
+
+def facts_of(model: Path, sources: Iterable[Path] = ()) -> dict[str, Any]:
+    """Facts of a model folder.
+
+    A model under `RUN/fit/`, or fitted to one run alone, is of that run, whose recordings' digests
+    are in the run.
+
+    Args:
+        model: Its folder.
+        sources: Recordings it was fitted to, where it is not of a run.
+
+    Raises:
+        DataError: The model's documents or the run's cannot be read.
+        RegistryError: A source is not there.
+    """
+    document = read_json(model / MODEL_FILE)
+    fitted, training = document.get("fitted", {}), document.get("training") or {}
+    sources = list(sources)
+    run = model.resolve().parent.parent if model.resolve().parent.name == FIT_FOLDER else None
+    if run is None and len(sources) == 1 and (sources[0] / "start.json").is_file():
+        run = sources[0].resolve()
+    return {
+        "estimator": document["estimator"],
+        "protocol": fitted.get("protocol", ""),
+        "robot": document["robot"].get("name", ""),
+        "joint_names": fitted.get("joint_names", []),
+        "effort_kind": fitted.get("effort_kind", ""),
+        "serial": training.get("serial", ""),
+        "trained_on": training.get("sources", []),
+        "data": [str(source.resolve()) for source in sources],
+        "data_sha256": _digests(run, sources),
+        "run": _run(run),
+        "evaluation": _evaluation(model),
+        "packages": package_versions(),
+        "git": source_revision(),
+    }
+
+
+def _digests(run: Path | None, sources: Iterable[Path]) -> dict[str, str]:
+    """Path → SHA-256 of recordings: those a finished run has noted, and those named.
+
+    Recordings of several runs have the same names: where another has it, the whole path is told.
+    """
+    found: dict[str, str] = {}
+    for stop in sorted(run.glob("stop*.json")) if run is not None else ():  # one per attempt
+        noted = read_json(stop).get("sha256", {})
+        found |= {name: digest for name, digest in noted.items() if _is_recording(name)}
+    for source in sources:
+        if not source.exists():
+            raise RegistryError(f"{source} is not there", hint="name the recordings as they are")
+        whole = source.is_dir()
+        noted = _digests(source, ()) if whole else {source.name: sha256_of(source)}
+        for name, digest in noted.items():
+            taken = found.get(name, digest) != digest
+            found[str((source if whole else source.parent) / name) if taken else name] = digest
+    return found
+
+
+def _is_recording(name: str) -> bool:
+    """Also one that a crash has cut off: what is whole in it is learned from."""
+    return name.removesuffix(PARTIAL_SUFFIX).endswith(".mcap")
+
+
+def _run(run: Path | None) -> dict[str, Any] | None:
+    if run is None or not (run / "start.json").is_file():
+        return None
+    start = read_json(run / "start.json")
+    keys = ("uid", "started", "operator", "host", "experiment", "robot_name", "seed")
+    told = {key: start.get(key) for key in keys} | {"folder": str(run)}
+    verdict = run / "verdict.json"
+    return told | {"verdict": read_json(verdict) if verdict.is_file() else None}
+
+
+def _evaluation(model: Path) -> Any:
+    """The totals of `evaluation.json`; its tables stay in the file."""
+    path = model / EVALUATION_FILE
+    if not path.is_file():
+        return None
+    try:
+        held = json.loads(path.read_bytes())
+    except ValueError as error:
+        raise DataError(f"{path} is no evaluation: {error}", hint="fit the model again") from error
+    if not isinstance(held, dict):
+        return None
+    held_out = held.get("held_out") or {}
+    parts = [
+        {"source": held_out.get("what", ""), **held_out},
+        *({"total": one, **one} for one in held.get("validation") or ()),
+    ]
+    keys = ("source", "unit", "total", "notes")
+    return [{key: part[key] for key in keys if part.get(key)} for part in parts if "total" in part]

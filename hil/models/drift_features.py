@@ -27,7 +27,6 @@ from hil.evaluation import filtered_effort
 JOINT_FEATURES = ("friction", "gain", "offset")
 LOAD_FEATURES = ("mass", "mass·x", "mass·y", "mass·z")
 UNITS = {"friction": "1", "gain": "1", "mass": "kg"} | dict.fromkeys(LOAD_FEATURES[1:], "kg·m")
-
 DRIFT_BLOCK_S = 5.0
 FEWEST_DRIFT_BLOCKS = 4
 
@@ -163,6 +162,15 @@ def _smooth(data: Dataset, name: str) -> FloatArray:
     return np.zeros_like(data["q"])
 
 
+def _gram(X: FloatArray) -> FloatArray:
+    flat = X.reshape(-1, X.shape[-1])
+    return flat.T @ flat
+
+
+def _moment(X: FloatArray, y: FloatArray) -> FloatArray:
+    return X.reshape(-1, X.shape[-1]).T @ y.reshape(-1)
+
+
 def _blocks(data: Dataset) -> Iterator[slice]:
     """Rows of about `DRIFT_BLOCK_S`, never over the end of a series."""
     for _, rows in data.slices():
@@ -172,15 +180,6 @@ def _blocks(data: Dataset) -> Iterator[slice]:
         count = max(1, round(float(t[-1] - t[0]) / DRIFT_BLOCK_S))
         edges = np.linspace(rows.start, rows.stop, count + 1).round().astype(int)
         yield from (slice(a, b) for a, b in pairwise(edges))
-
-
-def _gram(X: FloatArray) -> FloatArray:
-    flat = X.reshape(-1, X.shape[-1])
-    return flat.T @ flat
-
-
-def _moment(X: FloatArray, y: FloatArray) -> FloatArray:
-    return X.reshape(-1, X.shape[-1]).T @ y.reshape(-1)
 
 
 def _estimated(

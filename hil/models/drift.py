@@ -1,0 +1,553 @@
+"""Is a robot still the one its model was fitted to? Short probes, what changed, and how sure.
+
+    REGISTRY/NAME/probes.jsonl
+
+A line per probe and champion: what it says (`hil.models.drift_features`), what the charts said of
+it, and what was called changed. A line counts from its line break on. Probes are judged against
+those of the same program under the same champion: along another motion a model errs otherwise.
+
+**The chart**, one per feature, has the joint's temperature as a covariate. Of a robot that does not
+change, a feature is a + b·(T − T̄) + noise: a model is never quite right, and friction is another at
+another temperature than the model believes. The probes taken after a model became champion tell a,
+b and the noise, by Bayesian regression with priors that know how large these can be; before they
+have told, limits are wide, and nothing is called a change. A new probe is compared with what they
+predict for its temperature: by itself, and in an exponentially weighted mean with the probes before
+it, for what creeps. Predictions are Student-t, the noise being estimated too, and errors that all
+probes share count as such. A robot that does not change is called changed with a probability of
+`false_alarm` at most, all features together: each gets its share of it, half of that for either
+chart (Bonferroni).
+
+**The cause.** One cause moves the estimates of others too, so the one that explains most is named
+first, then what is left without it (`causes`).
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import norm
+from scipy.stats import t as student
+
+from hil.core import BoolArray, DataError, FloatArray, RegistryError, read_json, sha256_of
+from hil.data import Dataset
+from hil.estimators import RobotEstimator, plain
+from hil.evaluation import require_unseen, usable_part
+from hil.importers import load_source
+from hil.models.drift_features import UNITS, Features, features_of
+from hil.models.log import append_line, read_lines, writing
+from hil.models.model_registry import Registry
+from hil.models.pointers import leave_pointer
+
+PROBES_FILE = "probes.jsonl"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Probe:
+    """One probe under one champion.
+
+    Attributes:
+        uid: Identity of its run or recording.
+        at: When it was taken, ISO 8601.
+        source: Where it was then.
+        program: Hash of its spec (a plan depends on where the arm stood); empty for a recording.
+        champion: Version it was compared with.
+        false_alarm: Probability, at most, with which a robot that has not changed is called so.
+        features: What it says.
+        changed: Whether the charts call it changed.
+        causes: What has changed.
+        p: Smallest probability of a feature's deviation, of both charts.
+        reference: Probes it was compared with.
+    """
+
+    uid: str
+    at: str
+    source: str
+    program: str
+    champion: int
+    false_alarm: float
+    features: Features
+    changed: bool
+    causes: tuple[Cause, ...]
+    p: float
+    reference: int
+
+    @property
+    def text(self) -> str:
+        """One line for people."""
+        if self.changed:
+            return told(self.causes)
+        if self.reference < 2:
+            probe = f"probe {self.reference + 1} of this program under this champion"
+            return f"{probe}: nothing to compare with yet"
+        return f"nothing has changed (smallest p {self.p:.2g}, {self.reference} probes to compare)"
+
+    def to_dict(self) -> dict[str, Any]:
+        """The contract of `hil drift --json`, and a line of the file."""
+        return {
+            "uid": self.uid, "at": self.at, "source": self.source,
+            "program": self.program, "champion": self.champion, "false_alarm": self.false_alarm,
+            "changed": self.changed, "text": self.text, "p": self.p,
+            "reference": self.reference, "causes": [cause.to_dict() for cause in self.causes],
+            "features": self.features.to_dict(),
+        }  # fmt: skip
+
+
+def probes_of(registry: Registry, name: str) -> list[Probe]:
+    """All probes of a name, in the order in which they were judged.
+
+    Raises:
+        RegistryError: A line is damaged.
+    """
+    path = registry.root / name / PROBES_FILE
+    return [_probe(path, number, line) for number, line in read_lines(path)]
+
+
+def _probe(path: Path, number: int, line: bytes) -> Probe:
+    try:
+        told_then = json.loads(line)
+        listed: Sequence[dict[str, Any]] = told_then["causes"]
+        return Probe(
+            str(told_then["uid"]), str(told_then["at"]), str(told_then["source"]),
+            str(told_then["program"]), int(told_then["champion"]), float(told_then["false_alarm"]),
+            Features.from_dict(told_then["features"]), bool(told_then["changed"]),
+            tuple(Cause(**one) for one in listed), float(told_then["p"]),
+            int(told_then["reference"]),
+        )  # fmt: skip
+    except (ValueError, TypeError, KeyError, RecursionError) as error:
+        raise RegistryError(
+            f"{path}:{number}: damaged: {error}",
+            hint="restore the file from a backup, or move it away: charts then begin anew",
+        ) from error
+
+
+FALSE_ALARM = 0.01
+"""Of one probe, all features together."""
+
+
+def assess(
+    registry: Registry,
+    name: str,
+    source: Path,
+    *,
+    false_alarm: float = FALSE_ALARM,
+    champion: str = "champion",
+) -> Probe:
+    """Judge a probe against the champion and the probes before it, and keep it.
+
+    The same probe under the same champion is judged once: what was said then is said again.
+
+    Args:
+        registry: With a champion of that name.
+        name: The robot's.
+        source: Run directory or recording of the probe.
+        false_alarm: Of one probe, all features together, at most.
+        champion: The version, such as `v3`, where another may have become champion meanwhile.
+
+    Raises:
+        DataError: The source cannot be read, or the champion was fitted to it.
+        RegistryError: There is no champion, or the history is damaged.
+    """
+    version = registry.version(name, champion)
+    model = registry.load(name, version.label)
+    uid, at, program = identity(source)
+    features = _features(model, source)
+    with writing(registry.root / name):
+        before = [one for one in probes_of(registry, name) if one.champion == version.number]
+        known = next((one for one in before if one.uid == uid), None)
+        if known is not None:
+            return known
+        quiet = quiet_like(before, version.number, program)
+        chart = charted([*(one.features for one in quiet), features], model.sigma_, false_alarm)
+        unit = "A" if model.effort_kind_ == "current" else "N·m"
+        found = tuple(causes(features, chart, false_alarm, unit))
+        probe = Probe(
+            uid, at, str(source), program, version.number, false_alarm, features,
+            bool(chart.alarm.any()), found, _least(chart), chart.reference,
+        )  # fmt: skip
+        leave_pointer(registry.root, [source])
+        append_line(registry.root / name / PROBES_FILE, plain(probe.to_dict()))
+    return probe
+
+
+def _features(model: RobotEstimator, source: Path) -> Features:
+    data = usable_part(load_source(source), model)
+    require_unseen(model, source, data)
+    return features_of(model, data)
+
+
+def _least(chart: Charted) -> float:
+    return float(np.min(np.minimum(chart.p, chart.p_mean)))
+
+
+def quiet_like(probes: Iterable[Probe], champion: int, program: str) -> list[Probe]:
+    """Those that a probe of this program is compared with under this champion."""
+    like = (champion, program)
+    return [one for one in probes if (one.champion, one.program) == like and not one.changed]
+
+
+def identity(source: Path) -> tuple[str, str, str]:
+    """Identity, time and program of a source: a run's own, or a recording's digest and nothing.
+
+    Raises:
+        DataError: There is no such source.
+    """
+    if (source / "start.json").is_file():
+        start = read_json(source / "start.json")
+        uid, at, program = (str(start.get(key, "")) for key in ("uid", "started", "spec_hash"))
+        return uid, at, program
+    if not source.is_file():
+        raise DataError(f"{source} does not exist", hint="give a run directory or an MCAP file")
+    return sha256_of(source), "", ""
+
+
+REFERENCE = 5
+"""Probes after a promotion that tell what the robot is like; they are judged too."""
+
+FORGET = 0.3
+"""Weight of the newest probe in the weighted mean."""
+
+PRIORS = {"friction": (0.2, 0.01), "gain": (0.1, 0.005), "offset": (5.0, 0.2), "load": (0.2, 0.01)}
+"""Standard deviations of a and of b [1/K]: shares of friction and effort; offsets in standard
+deviations of the champion's residual; a load in kg, and in kg·m a tenth of that. Real friction
+changes by 0.2 to 1 % per kelvin, and models follow most of it."""
+
+NOISE_DOF = 4.0
+"""Probes that the prior of the noise is worth, which is what blocks of the probes say of it."""
+
+LEAST_NOISE = 1e-6
+"""Share of the priors below which nothing is told apart."""
+
+LEVER_M = 0.1
+
+_ARRAYS = ("values", "temperature")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Charted:
+    """What the charts say of the newest probe.
+
+    Attributes:
+        deviation: (K,) of the newest probe from what the reference says at its temperature.
+        std: (K,) that such a deviation may have.
+        p: (K,) how probable one as large is, without a change.
+        p_mean: (K,) the same of the weighted mean; `p` while no other is in it.
+        mean: (K,) weighted mean of the deviations since the reference.
+        limit: (K,) deviation above which a single probe is called changed.
+        alarm: (K,) whether it is called so.
+        reference: How many probes told.
+    """
+
+    deviation: FloatArray
+    std: FloatArray
+    p: FloatArray
+    p_mean: FloatArray
+    mean: FloatArray
+    limit: FloatArray
+    alarm: BoolArray
+    reference: int
+
+
+def charted(
+    probes: Sequence[Features], sigma: FloatArray, false_alarm: float = FALSE_ALARM
+) -> Charted:
+    """Judge the last of some probes, taken one after the other under one champion.
+
+    Args:
+        probes: Oldest first; those that were called changed left out, but for the last.
+        sigma: (n,) standard deviation of the champion's residual, in effort units.
+        false_alarm: Of one probe, all features together, at most.
+
+    Raises:
+        DataError: They are of different robots, or there is none.
+    """
+    if not probes or any(one.names != probes[0].names for one in probes):
+        raise DataError(
+            "probes of different robots cannot be charted together",
+            hint="keep the history of each robot by itself",
+        )
+    probes = _distinct(probes)
+    count = min(REFERENCE, len(probes) - 1)
+    values, celsius = (np.array([getattr(one, name) for one in probes]) for name in _ARRAYS)
+    centre = np.nan_to_num(np.nanmean(celsius, axis=0)) if np.isfinite(celsius).any() else 0.0
+    warm = np.nan_to_num(celsius - centre)
+    noise = _noise(probes[: max(count, 1)]) + np.finfo(np.float64).tiny
+    told = [
+        _feature(values[:, k], warm[:, k], _prior(name, sigma), float(noise[k]), count)
+        for k, name in enumerate(probes[0].names)
+    ]
+    share = false_alarm / len(told) / 2
+    deviation, std, dof, mean, mean_std = np.array(told).T
+    p, p_mean = _p(deviation, std, dof), _p(mean, mean_std, dof)
+    limit = std * student.isf(share / 2, dof)
+    alarm = (p < share) | (p_mean < share)
+    return Charted(deviation, std, p, p_mean, mean, limit, alarm, count)
+
+
+def _distinct(probes: Sequence[Features]) -> Sequence[Features]:
+    """Without those that say what another says to the last bit: copies, or a mock's same day."""
+    *before, newest = probes
+    found: dict[bytes, Features] = {}
+    for probe in before:
+        found.setdefault(probe.values.tobytes(), probe)
+    found.pop(newest.values.tobytes(), None)
+    return [*found.values(), newest]
+
+
+def _noise(probes: Sequence[Features]) -> FloatArray:
+    """(K,) standard deviation of one probe, by what its blocks say.
+
+    A model's error along a motion is the same in every probe that drives it. What is common to the
+    blocks of the same place is therefore no noise, nor is what is common to the blocks of a probe.
+    """
+    shapes = {one.blocks.shape for one in probes}
+    if len(probes) < 2 or len(shapes) > 1:
+        return np.asarray(np.sqrt(np.mean([one.std**2 for one in probes], axis=0)))
+    blocks = np.array([one.blocks for one in probes])
+    count, per, _ = blocks.shape
+    rest = blocks - blocks.mean(axis=0) - blocks.mean(axis=1, keepdims=True)
+    rest += blocks.mean(axis=(0, 1))
+    variance = np.sum(rest**2, axis=(0, 1)) / ((count - 1) * (per - 1)) / per
+    return np.asarray(np.sqrt(variance))
+
+
+def _feature(
+    values: FloatArray, warm: FloatArray, prior: FloatArray, noise: float, count: int
+) -> tuple[float, ...]:
+    """Deviation, its std, degrees of freedom, weighted mean and its std, of one feature.
+
+    Values and temperatures (P,) are of all probes, the newest last; the first `count` tell.
+    """
+    X = np.column_stack([np.ones_like(warm), warm])
+    known, y = X[:count], values[:count]
+    noise = max(noise, LEAST_NOISE * float(prior[0]))
+    # In units of the noise: normal-inverse-gamma, the conjugate prior of a regression.
+    precision = np.diag((noise / prior) ** 2)
+    spread = np.linalg.inv(precision + known.T @ known)
+    centre = spread @ (known.T @ y)
+    dof = NOISE_DOF + count
+    rest = float(y @ y - centre @ np.linalg.solve(spread, centre)) if count else 0.0
+    variance = (NOISE_DOF * noise**2 + max(rest, 0.0)) / dof
+    since = slice(count, None)
+    away = values[since] - X[since] @ centre
+    new = X[-1]
+    std = float(np.sqrt(variance * (1.0 + new @ spread @ new)))
+    weights = FORGET * (1.0 - FORGET) ** np.arange(len(away))[::-1]
+    weights /= np.sum(weights)
+    pooled = weights @ X[since]
+    mean_std = float(np.sqrt(variance * (weights @ weights + pooled @ spread @ pooled)))
+    return float(away[-1]), std, dof, float(weights @ away), mean_std
+
+
+def _prior(name: str, sigma: FloatArray) -> FloatArray:
+    """Of a and b, in the feature's unit."""
+    what = name.rsplit(" ", 1)[1]
+    if name.startswith("load "):
+        return np.array(PRIORS["load"]) * (1.0 if what == "mass" else LEVER_M)
+    # Offsets of joints that are all alike in what they may be, whatever their current.
+    return np.array(PRIORS[what]) * (float(np.median(sigma)) if what == "offset" else 1.0)
+
+
+def _p(value: FloatArray, std: FloatArray, dof: FloatArray) -> FloatArray:
+    found: FloatArray = 2.0 * student.sf(np.abs(value) / std, dof)
+    return found
+
+
+LEAST_KG = 0.05
+"""Below this a place would be that of noise."""
+
+MOST = 4
+"""Causes named at most: what changes more is another robot."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cause:
+    """Something that has changed.
+
+    Attributes:
+        name: Feature; `load` for all of the load.
+        change: Of it, in its unit; of the load its mass.
+        std: How sure.
+        unit: `1` for a share.
+        text: For people.
+    """
+
+    name: str
+    change: float
+    std: float
+    unit: str
+    text: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return {
+            "name": self.name, "change": self.change, "std": self.std, "unit": self.unit,
+            "text": self.text,
+        }  # fmt: skip
+
+
+def causes(probe: Features, chart: Charted, false_alarm: float, effort_unit: str) -> list[Cause]:
+    """Named greedily: the cause that explains most, then what is left without it.
+
+    Args:
+        probe: The newest.
+        chart: That says it is changed.
+        false_alarm: As it was charted with.
+        effort_unit: Of offsets.
+    """
+    if not chart.alarm.any():
+        return []
+    # What jumped says by how much itself; the mean is for what creeps.
+    jumped = bool(np.any(np.abs(chart.deviation) > chart.limit))
+    left, p = (chart.deviation, chart.p) if jumped else (chart.mean, chart.p_mean)
+    size = norm.isf(np.maximum(p, 1e-300) / 2)
+    scale = np.abs(left) / np.maximum(size, np.finfo(np.float64).tiny)
+    # What a cause does to other features is known as well as the model fits along the motion.
+    scale = np.maximum(scale, probe.std)
+    found: list[Cause] = []
+    limit = float(norm.isf(false_alarm / len(left) / 4))
+    groups = _groups(probe.names)
+    while len(found) < MOST:
+        over = np.abs(left) > limit * scale
+        if not found:
+            over |= chart.alarm
+        if not over.any():
+            break
+        group = _best(left, scale, probe.response, [one for one in groups if over[one].any()])
+        found.append(_cause(probe, group, left, chart.std, effort_unit))
+        left = left - probe.response[:, group] @ left[group]
+    return found
+
+
+def _groups(names: Sequence[str]) -> list[list[int]]:
+    """Features that are one cause: each of a joint by itself, all of the load."""
+    load = [k for k, name in enumerate(names) if name.startswith("load ")]
+    return [*([k] for k in range(len(names)) if k not in load), load]
+
+
+def _best(
+    left: FloatArray, scale: FloatArray, response: FloatArray, groups: Sequence[list[int]]
+) -> list[int]:
+    """The cause that, changed alone by what it shows, leaves least of all of them."""
+
+    def rest(group: list[int]) -> float:
+        return float(np.sum(((left - response[:, group] @ left[group]) / scale) ** 2))
+
+    return min(groups, key=rest)
+
+
+def _cause(
+    probe: Features, group: Sequence[int], left: FloatArray, std: FloatArray, effort_unit: str
+) -> Cause:
+    k = group[0]
+    change, error = float(left[k]), float(std[k])
+    where, what = probe.names[k].rsplit(" ", 1)
+    if where == "load":
+        text = f"load at the flange: {change:+.2f} ± {error:.2f} kg{_place(left[list(group)])}"
+        return Cause("load", change, error, UNITS[what], text)
+    if what == "offset":
+        text = f"offset on {where}: {change:+.3g} ± {error:.2g} {effort_unit}"
+        return Cause(probe.names[k], change, error, effort_unit, text)
+    # Effort is torque over gain: more effort for the same torque is less gain.
+    sense = ("up" if change > 0 else "down") if what == "friction" else "off"
+    word = "friction" if what == "friction" else "effort for the same torque"
+    text = f"{word} {sense} on {where}: {100 * change:+.1f} ± {100 * error:.1f} %"
+    return Cause(probe.names[k], change, error, UNITS[what], text)
+
+
+def _place(load: FloatArray) -> str:
+    """Of what was mounted or taken away; where the mass hardly changed there is none."""
+    if abs(load[0]) < LEAST_KG:
+        return ""
+    return " at ({:.0f}, {:.0f}, {:.0f}) mm".format(*(1000.0 * load[1:] / load[0]))
+
+
+def told(found: Sequence[Cause]) -> str:
+    """One line."""
+    return "; ".join(cause.text for cause in found) or "nothing has changed"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Banded:
+    """A probe, and what the charts expected of it.
+
+    Attributes:
+        probe: As it was judged.
+        chart: Of it and those of its program before it under the same champion.
+    """
+
+    probe: Probe
+    chart: Charted
+
+    @property
+    def expected(self) -> FloatArray:
+        """(K,) of an unchanged robot at this probe's temperature."""
+        return self.probe.features.values - self.chart.deviation
+
+    @property
+    def chance(self) -> float:
+        """Bound of the probability that an unchanged robot shows as much, anywhere.
+
+        Below the probe's false alarm rate the probe is called changed.
+        """
+        return min(1.0, 2.0 * len(self.probe.features.names) * self.probe.p)
+
+
+def banded(registry: Registry, name: str) -> list[Banded]:
+    """All probes of a name with what they were held against, in the order they were judged in.
+
+    Raises:
+        RegistryError: There is no such name, or its history or one of the champions is damaged.
+        DataError: A champion cannot be read.
+    """
+    probes = probes_of(registry, name)
+    sigma = {
+        number: registry.load(name, f"v{number}").sigma_
+        for number in {probe.champion for probe in probes}
+    }
+    found: list[Banded] = []
+    for probe in probes:
+        quiet = quiet_like((one.probe for one in found), probe.champion, probe.program)
+        features = [*(one.features for one in quiet), probe.features]
+        chart = charted(features, sigma[probe.champion], probe.false_alarm)
+        found.append(Banded(probe, chart))
+    return found
+
+
+def friction_change(
+    model: RobotEstimator, data: Dataset, before: FloatArray, after: FloatArray
+) -> FloatArray:
+    """Change of each joint's friction over the same motion at another temperature.
+
+    Args:
+        model: Has a friction part.
+        data: The motion.
+        before: (n,) joint temperatures [°C].
+        after: (n,) the same later.
+
+    Returns:
+        (n,) change of the friction's RMS as a share of what it was; 0 for a model that knows
+        nothing of temperature.
+
+    Raises:
+        DataError: The model does not say which part of its prediction is friction.
+    """
+    cold, warm = (_rms(model, data, celsius) for celsius in (before, after))
+    return warm / np.maximum(cold, np.finfo(np.float64).tiny) - 1.0
+
+
+def _rms(model: RobotEstimator, data: Dataset, celsius: FloatArray) -> FloatArray:
+    at = data.with_columns(temperature=np.broadcast_to(celsius, data["q"].shape).copy())
+    prediction = model.predict(at)
+    if "friction" not in prediction.components:
+        raise DataError(
+            f"{model.estimator} does not say which part of its prediction is friction",
+            hint="take a model whose estimator tells friction apart, such as rigid-hysteresis",
+        )
+    friction = prediction.components["friction"][np.all(prediction.valid, axis=1)]
+    found: FloatArray = np.sqrt(np.mean(friction**2, axis=0))
+    return found
