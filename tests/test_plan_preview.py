@@ -16,7 +16,7 @@ from hil.excitation.motion import Hold, Line
 from hil.planning.plan import DwellRule, LoadStep, Plan, Step
 from hil.planning.plan_preview import preview
 from hil.recording.mcap_writer import McapWriter
-from hil.report.plan_picture import (
+from hil.report.plan_drawing import (
     close_up,
     overview,
     peaks_and_places,

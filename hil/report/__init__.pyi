@@ -5,9 +5,9 @@ from .fleet_page import standing_out as standing_out
 from .page import Badge as Badge
 from .page import page_html as page_html
 from .paper import figures as figures
-from .plan_picture import picture_of as picture_of
-from .plan_picture import plan_card as plan_card
-from .plan_picture import plan_picture as plan_picture
+from .plan_drawing import picture_of as picture_of
+from .plan_drawing import plan_card as plan_card
+from .plan_drawing import plan_picture as plan_picture
 from .run_facts import PLURALS as PLURALS
 from .run_facts import Document as Document
 from .run_facts import FitFacts as FitFacts
