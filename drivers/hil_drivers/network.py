@@ -112,8 +112,8 @@ def once_listening(host: str, connect: Callable[[], T], within_s: float | None =
         except RobotConnectionError as error:
             # On a loopback address the likely reason is `hil mock … &` a moment ago.
             refused = isinstance(error.__cause__, ConnectionRefusedError)
-            here = ipaddress.ip_address(host).is_loopback
-            if not (refused and here) or time.monotonic() >= until:
+            here = refused and ipaddress.ip_address(host).is_loopback
+            if not here or time.monotonic() >= until:
                 raise
         time.sleep(AGAIN_S)
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 import contextlib
 import re
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -171,15 +171,18 @@ class Controller:
                 break
         self.receiver.keep(KEPT_S)
 
-    def findings(self, declared: Payload | None, *, moved_by_us: bool) -> Iterator[Finding]:
+    def findings(
+        self, declared: Payload | None, *, moved_by_us: Callable[[], bool]
+    ) -> Iterator[Finding]:
         """Look at what keeps a run from beginning: one finding each.
 
         Args:
             declared: The load that was declared since the robot was connected.
-            moved_by_us: Whether the process that armed the watchdog is there.
+            moved_by_us: Says whether the process that armed the watchdog is there.
         """
-        row, version = self.row, self.receiver.version
+        # Asking the dashboard may take seconds: the row is the one after it.
         facts = dashboard_facts(self.host)
+        row, version = self.row, self.receiver.version
         yield _mode_finding(int(row["robot_mode"]))
         yield _safety_finding(int(row["safety_mode"]))
         yield _control_finding(facts)
@@ -193,7 +196,7 @@ class Controller:
         program = RUNTIME.get(runtime, str(runtime))
         yield Finding(
             "watchdog",
-            moved_by_us and runtime == PLAYING,
+            moved_by_us() and runtime == PLAYING,
             f"watchdog armed at {hz:g} Hz in our program, which is {program}",
             hz,
             hint="connect again",

@@ -132,7 +132,8 @@ class UrRobot:
     def checks(self) -> Sequence[Finding]:
         """See `hil.robot.HasChecks`."""
         self._require_health()
-        return list(self._controller.findings(self._declared, moved_by_us=self._motion.alive))
+        motion, asked = self._motion, self._controller.findings
+        return list(asked(self._declared, moved_by_us=lambda: motion.alive))
 
     def reach(self) -> Sequence[Finding]:
         """See `hil.robot.HasReach`."""
