@@ -22,6 +22,7 @@ BAGS = ROOT / "experiments" / "maps" / "ros2_joint_states.yaml"
         ("uvicorn", ("serve", "--port", "0"), "the dashboard needs uvicorn, which is", "web"),
         ("starlette,uvicorn", ("serve",), "needs starlette and uvicorn, which are", "web"),
         ("numba", ("run", DWELL), "the mock robot needs numba, which is", "mock"),
+        ("numba", ("mock", "ur", "--port", "0"), "the mock robot needs numba, which is", "mock"),
         ("foxglove", ("run", DWELL, "--live"), "the live view needs foxglove, which is", "live"),
         (
             "rosbags",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from hil_drivers.twincat.reading import HostClock, Ring, state_rows
 from hil_drivers.twincat.variables import CONTRACT, REASONS, layout_of, set_points, sums_of, upload
 from hil_drivers.twincat.variables import Result as DriversResult
 from hil_mock_robot.twincat import program
+from hil_mock_robot.twincat.faults import PlcFault, Target
 from hil_mock_robot.twincat.memory import Memory, contract, declared_in
 from hil_mock_robot.twincat.program import Ramp, Trajectory
 
@@ -317,3 +319,15 @@ def test_a_mock_that_others_could_reach_is_refused(capsys):
 
     assert main(["--address", "0.0.0.0"]) == 2
     assert "no loopback address" in capsys.readouterr().err
+
+
+def test_of_two_faults_of_a_kind_the_last_to_end_puts_things_right():
+    links = SimpleNamespace(silent=False)
+    mock = Target(None, None, links)
+    long, short = PlcFault.make("silence"), PlcFault.make("silence", for_s=1.0)
+    long.begin(mock)
+    short.begin(mock)
+    short.end(mock)
+    assert links.silent
+    long.end(mock)
+    assert not links.silent

@@ -225,6 +225,15 @@ def test_a_package_of_the_wrong_length_says_so_in_its_header(by_bytes):
     assert lengths == [9 + by_bytes, 9]
 
 
+def test_a_package_lost_meanwhile_leaves_the_next_ones_of_the_wrong_length():
+    wrong = UrFault.make("wrong_length", packages=2, by_bytes=-4)
+    _, end, wire = line_with(wrong, UrFault.make("drop"))
+    wire.take()
+    for number in range(1, 5):
+        end.send(data(number))
+    assert [len(payload) for _, payload in Framer().feed(wire.take())].count(5) == 2
+
+
 def test_garbage_is_as_long_as_what_it_replaces_and_never_the_reply_to_a_question():
     _, end, wire = line_with(UrFault.make("garbage"))
     wire.take()

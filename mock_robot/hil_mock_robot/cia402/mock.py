@@ -95,7 +95,7 @@ def parser_of(prog: str = "", seed: int = 1) -> Parser:
     add("--master-id", type=int, default=MASTER_ID, metavar="ID", help=announces)
     patience = "wall time without SYNC after which the drives go by their own timer"
     add("--sync-patience-s", type=float, default=PATIENCE_S, metavar="S", help=patience)
-    parser.add_arm(MODEL, arm_names(), seed)
+    parser.add_arm(MODEL, arm_names(), seed, start="all zeros")
     side = f"socket of the side channel for tests, `{NO_SIDE}` for none; beside the bus without"
     add("--side", default="", metavar="PATH", help=side)
     parser.add_records()

@@ -12,7 +12,6 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from hil.core import FloatArray, StructArray
 from hil_mock_robot.plant.native import require_libraries
@@ -20,6 +19,7 @@ from hil_mock_robot.plant.truth import JointTruth, Truth
 
 require_libraries()
 
+from numba import njit  # noqa: E402
 
 COMPILED: dict[str, Any] = {"nogil": True, "fastmath": False}
 """How every function of the compiled step is built; without fastmath a seed gives the same bytes.

@@ -13,11 +13,6 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-import mujoco
-from llvmlite import ir
-from numba import types
-from numba.extending import intrinsic
-
 from hil.core import PluginError, plugins
 
 HINT = 'pip install "hil[mock]"'
@@ -34,7 +29,12 @@ def require_libraries() -> None:
         raise plugins.not_installed("the mock robot", missing, "mock")
 
 
-require_libraries()
+require_libraries()  # first: what is missing is told with what to install
+
+import mujoco  # noqa: E402
+from llvmlite import ir  # noqa: E402
+from numba import types  # noqa: E402
+from numba.extending import intrinsic  # noqa: E402
 
 
 def address_of(function: str) -> int:

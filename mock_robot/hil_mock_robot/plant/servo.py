@@ -9,7 +9,6 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from hil.arms import ArmDescription
 from hil.core import FloatArray, StructArray
@@ -20,6 +19,7 @@ from hil_mock_robot.plant.truth import Truth
 
 require_libraries()
 
+from numba import njit  # noqa: E402
 
 BANDWIDTH_RAD_S = 60.0
 

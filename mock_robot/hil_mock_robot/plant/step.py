@@ -8,8 +8,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from numba import njit
-
 from hil.core import FloatArray
 from hil_mock_robot.plant.friction import COMPILED, friction_torque
 from hil_mock_robot.plant.native import call, require_libraries
@@ -23,6 +21,7 @@ from hil_mock_robot.plant.servo import (
 
 require_libraries()
 
+from numba import njit  # noqa: E402
 
 CHANNELS = ("q", "qd", "current", "celsius", "current_target")
 """What the step writes for every sample and joint, in the order of its output's axis 1."""

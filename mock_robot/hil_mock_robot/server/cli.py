@@ -1,7 +1,7 @@
 """The command line of a mock server: options that several mocks take, and running until a signal.
 
 A mock builds its parser of its protocol's own options and of `add_arm` and `add_records`, and runs
-by `main_of`: it serves until SIGINT, SIGTERM or SIGHUP, or asks a mock that runs (`tell`).
+by `serve`: it serves until SIGINT, SIGTERM or SIGHUP, or asks a mock that runs (`tell`).
 """
 
 from __future__ import annotations
@@ -38,14 +38,23 @@ class Parser(argparse.ArgumentParser):
             description=f"{description} It is there when it says `ready`, until Ctrl-C.",
         )
 
-    def add_arm(self, model: str, models: Sequence[str], seed: int) -> None:
-        """Options of which arm, where it stands, and what it carries."""
+    def add_arm(
+        self, model: str, models: Sequence[str] | None, seed: int, *, start: str = "a safe pose"
+    ) -> None:
+        """Options of which arm, where it stands, and what it carries.
+
+        Args:
+            model: By default.
+            models: Those it may be; None for any built-in arm and any description of one.
+            seed: By default.
+            start: Where the arm stands when nothing is said.
+        """
         add = self.add_argument
         add("--model", default=model, choices=models, help="of the arm")
         add("--seed", type=int, default=seed, help="which individual")
         add("--profile", default="full", choices=("full", "ideal"), help="of the physics")
-        start = "where the arm stands at first, joint by joint; a safe pose without"
-        add("--start-q-deg", type=float, nargs="+", metavar="Q", help=start)
+        stands = f"where the arm stands at first, joint by joint; {start} without"
+        add("--start-q-deg", type=float, nargs="+", metavar="Q", help=stands)
         hangs = "what really hangs at the flange, whatever is declared: mass and centre [m]"
         add("--mounted-kg", type=float, nargs=4, metavar=("KG", "X", "Y", "Z"), help=hangs)
 

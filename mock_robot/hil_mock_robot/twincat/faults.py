@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, field
 
 from hil_mock_robot.plant.records import EMERGENCY_STOP, FAULTS
 from hil_mock_robot.server.faults import Fault, count, number
@@ -20,12 +21,19 @@ class Target:
     Attributes:
         program, handler, links: Parts of the mock.
         stopped: How many faults let the PLC's task stand still, while ADS answers.
+        lasting: How many faults of each kind last: the last one to end puts things right.
     """
 
     program: PlcProgram
     handler: PlcHandler
     links: Links
     stopped: int = 0
+    lasting: Counter[str] = field(default_factory=Counter)
+
+    def ends(self, kind: str) -> bool:
+        """Count one less of a kind; whether it was the last one."""
+        self.lasting[kind] -= 1
+        return not self.lasting[kind]
 
 
 class PlcFault(Fault[Target], counted=("motion",), example="{kind: silence, at_s: 2.0}"):
@@ -88,10 +96,11 @@ class Silence(PlcFault, kind="silence", lasts=True):
     """Requests are left unanswered until it is over."""
 
     def begin(self, mock: Target) -> None:
+        mock.lasting[self.kind] += 1
         mock.links.silent = True
 
     def end(self, mock: Target) -> None:
-        mock.links.silent = False
+        mock.links.silent = not mock.ends(self.kind)
 
 
 class Cut(PlcFault, kind="cut", lasts=True):
@@ -100,10 +109,12 @@ class Cut(PlcFault, kind="cut", lasts=True):
     for_s: float = 0.0
 
     def begin(self, mock: Target) -> None:
+        mock.lasting[self.kind] += 1
         mock.links.cut()
 
     def end(self, mock: Target) -> None:
-        mock.links.listen()
+        if mock.ends(self.kind):
+            mock.links.listen()
 
 
 class Config(Freeze, kind="config", lasts=True):
@@ -111,11 +122,13 @@ class Config(Freeze, kind="config", lasts=True):
 
     def begin(self, mock: Target) -> None:
         super().begin(mock)
+        mock.lasting[self.kind] += 1
         mock.handler.state = CONFIG
 
     def end(self, mock: Target) -> None:
         super().end(mock)
-        mock.handler.state = RUN
+        if mock.ends(self.kind):
+            mock.handler.state = RUN
 
 
 class Restart(PlcFault, kind="restart"):
@@ -136,20 +149,22 @@ class LoseStops(PlcFault, kind="lose_stops", lasts=True):
     """What is written to `nStop` is acknowledged and lost."""
 
     def begin(self, mock: Target) -> None:
+        mock.lasting[self.kind] += 1
         mock.handler.loses_stops = True
 
     def end(self, mock: Target) -> None:
-        mock.handler.loses_stops = False
+        mock.handler.loses_stops = not mock.ends(self.kind)
 
 
 class Spoil(PlcFault, kind="spoil", lasts=True):
     """What is written arrives with a bit that is wrong, where it is long."""
 
     def begin(self, mock: Target) -> None:
+        mock.lasting[self.kind] += 1
         mock.handler.spoils = True
 
     def end(self, mock: Target) -> None:
-        mock.handler.spoils = False
+        mock.handler.spoils = not mock.ends(self.kind)
 
 
 class Refuse(PlcFault, kind="refuse"):

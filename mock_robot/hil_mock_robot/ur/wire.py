@@ -222,11 +222,12 @@ class Line:
         self._lasting.remove((kind, by_s))
         self._look()
 
-    def owe(self, kind: str, packages: int, by_bytes: int) -> None:
+    def owe(self, kind: str, packages: int, by_bytes: int = 0) -> None:
         """`drop`, `duplicate`, `garbage` or `wrong_length` of the next data packages."""
         for end in self._ends:
             end.owed[kind] += packages
-            end.by_bytes = by_bytes
+            if kind == "wrong_length":
+                end.by_bytes = by_bytes
         self._look()
 
     def mend(self) -> None:
