@@ -277,6 +277,6 @@ def test_a_terminal_shows_the_epochs_until_the_fit_ends(monkeypatch: pytest.Monk
     lines = ProgressLines()
     for event in (FITTING, FITTED):
         lines.notify(event)
-    _, epoch, end = terminal.getvalue().split("\r\x1b[K")
+    epoch, end = terminal.getvalue().split("\r\x1b[K")
     assert epoch.startswith("epoch 1/40  best 1")
     assert end == "fit 1 of 2: lagrangian (2 min 43 s)\n"

@@ -152,6 +152,7 @@ def test_every_fit_of_a_study_leaves_a_line(
     lines.notify({"kind": "study", "study": ""})
     text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", terminal.getvalue())
     assert f"{LINE}\n" in text.replace("\r", "")
+    assert terminal.getvalue().count("6/54  counted: fits") == 2, "nothing shows that work goes on"
 
 
 @pytest.mark.parametrize("failed", ["failed", "without rc-motion, which failed"])

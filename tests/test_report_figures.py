@@ -10,6 +10,7 @@ from report_html import array_of
 from hil.report import colours
 from hil.report import run_figures as figures
 from hil.report.curves import dressed
+from hil.report.matplotlib_figure import drawn, following_the_screen
 from hil.report.plotly_figure import figure_json, panel_of, plotly_of
 from hil.report.run_figures import FIGURES, ModelView, RunView, figures_of
 from hil.studies.figure import Axis, Band, Curve, Figure, Look, Mark, Panel
@@ -159,3 +160,16 @@ def test_the_mean_residual_follows_a_trend():
     curves = figures.residual_curves(A, 0.5 * A + 0.01 * B)
     mean = next(curve for curve in curves if curve.name == "mean")
     np.testing.assert_allclose(mean.y, 0.5 * mean.x, atol=0.1)
+
+
+def test_printed_lines_of_few_points_keep_their_dashes():
+    curves = tuple(Curve(name, np.arange(5.0), np.arange(5.0) + k) for k, name in enumerate("abc"))
+    svg = drawn(Figure("key", "three", "", (Panel("", "x", "y", curves),)), "svg").decode()
+    assert len(set(re.findall(r"stroke-dasharray: ([^;\"]+)", svg))) >= 2
+
+
+def test_a_picture_for_the_screen_is_rounded_and_its_texts_are_not():
+    svg = b'<svg><text x="1.23456">robot 1.23456</text><path d="M 1.23456 2.0015"/></svg>'
+    text = following_the_screen(svg)
+    assert "robot 1.23456" in text
+    assert 'd="M 1.23 2.00"' in text

@@ -293,6 +293,7 @@ class StudyLine(_Part):
     def __init__(self, line: MovingLine | None = None) -> None:
         super().__init__(line)
         self._shown, self._done, self._since = "", -1, 0.0
+        self._text = ""
 
     def show(self, study: str, what: str, done: int, total: int) -> None:
         """Show where a study is, if it is time to."""
@@ -308,7 +309,8 @@ class StudyLine(_Part):
         self._shown, self._done, self._since = text, done, now
         share = f"{done}/{total}" if total else ""
         if self._line.moves:
-            self._line.show("  ".join(filter(None, (share, text))))
+            self._text = "  ".join(filter(None, (share, text)))
+            self._line.show(self._text)
         else:
             self._line.say(f"{text} {share}".rstrip())
 
@@ -316,6 +318,8 @@ class StudyLine(_Part):
         """Leave a line for a fit that is done."""
         name = " ".join(filter(None, (ended.name, ended.failed)))
         self._line.say(fit_ended(ended.number, ended.total, name, ended.seconds))
+        if self._text:  # the next news may take minutes
+            self._line.show(self._text)
 
 
 Item = Mapping[str, Any]

@@ -60,7 +60,8 @@ def new(
             hint=f"hil new {URDF} --urdf ARM.urdf",
         )
     if kind in DRIVER:
-        _new_driver(out, name or (file.name if file else "my-arm"), json)
+        file = file or Path(name or "my-arm")
+        _new_driver(out / file.parent, name or file.name, json)
         return
     robot = urdf.stem if urdf is not None and robot == USUAL_ROBOT else robot
     usual = {"station": "", URDF: robot}.get(kind, f"{robot}-{kind}")

@@ -59,9 +59,9 @@ def _planned(asked: Mapping[str, Any]) -> dict[str, Any]:
     part = commissioning_of(asked["speed"], asked["first"])
     experiments = check_start(Path(asked["spec"]), station, asked["overrides"], part)
     digest = digest_of(experiments, asked["speed"], asked["first"])
-    plans = [shown_plan(each, part) for each in experiments]
-    for each in plans[PICTURES:]:
-        each["picture"] = ""
+    plans = [
+        shown_plan(each, part, draw=number < PICTURES) for number, each in enumerate(experiments)
+    ]
     return {"plans": plans, "digest": digest}
 
 

@@ -31,12 +31,15 @@ UNASKED = (
 )
 
 
-def shown_plan(experiment: Experiment, part: Commissioning | None) -> dict[str, Any]:
+def shown_plan(
+    experiment: Experiment, part: Commissioning | None, *, draw: bool = True
+) -> dict[str, Any]:
     """What an experiment would do; nothing moves.
 
     Args:
         experiment: What would be run, and where.
         part: What of it; None for all.
+        draw: Whether there is a picture, which takes most of a second.
 
     Raises:
         PlanError: No safe plan follows from the spec, or nothing of it would be measured.
@@ -60,7 +63,7 @@ def shown_plan(experiment: Experiment, part: Commissioning | None) -> dict[str, 
         "motion_rows": motion.rows() if motion else [],
         "notes": list(_notes(facts, part)),
         "prompts": prompts_of(plan),
-        "picture": _picture(plan),
+        "picture": _picture(plan) if draw else "",
     }
 
 

@@ -124,5 +124,5 @@ def looks_of(figure: Figure, models: Sequence[str] = ()) -> dict[str, Look]:
         if curve.name in looks or curve.look or curve.style == "identity":
             continue
         looks[curve.name] = look(len(looks), lines)
-        lines += curve.style == "line"
+        lines += curve.style in ("line", "marked")
     return looks

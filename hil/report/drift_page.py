@@ -377,7 +377,7 @@ def chances(told: Sequence[Banded], along: Along) -> Panel:
     return along.panel(
         "Could this be an unchanged robot?",
         "probability [1]",
-        [limit, *_marks(told, values, along, changed)],
+        [limit, *_marks(told, values, along, changed, "changed")],
         # Above a probability of 1 is room for the names of champions, less than to a next tick.
         y_axis=Axis("log", (10.0**bottom, 10.0 ** (-ROOM * bottom))),
         alt=f"probability of {len(told)} probes if nothing has changed: {_span(values)}",
@@ -446,11 +446,15 @@ def _blamed(told: Sequence[Banded], name: str) -> list[bool]:
 
 
 def _marks(
-    told: Sequence[Banded], values: FloatArray, along: Along, changed: Sequence[bool]
+    told: Sequence[Banded],
+    values: FloatArray,
+    along: Along,
+    changed: Sequence[bool],
+    what: str = "this has changed",
 ) -> list[Curve]:
     looks = (
         (False, "probe", Look(colours.MEASURED, size=7, opacity=1)),
-        (True, "probe: this has changed", Look(colours.PREDICTED, symbol="diamond", size=10,
+        (True, f"probe: {what}", Look(colours.PREDICTED, symbol="diamond", size=10,
                                                opacity=1)),
     )  # fmt: skip
     found = []

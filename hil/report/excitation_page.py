@@ -319,7 +319,9 @@ def _motion_panel(
     limits = [limit_line(t[[0, -1]], side * limit) for side in (1, -1)]
     peaks = np.abs(values).max(axis=0)
     most = int(peaks.argmax())
-    said = f"{title} over time; the largest is {peaks[most]:.0f}, of {names[most]}."
+    said = (
+        f"{title} over time; the largest is {peaks[most]:.0f}, of {joint_title(most, names[most])}."
+    )
     return Panel(title, "time [s]", y_title, (*curves, *limits), alt=said)
 
 

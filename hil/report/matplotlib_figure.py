@@ -164,7 +164,9 @@ def following_the_screen(svg: bytes) -> str:
     text = svg.decode()
     text = text[text.index("<svg") :]
     # A hundredth of a point is less than anybody sees, and half of the file.
-    text = re.sub(r"(\d\.\d\d)\d+", r"\1", text)
+    parts = re.split(r"(<text\b.*?</text>)", text, flags=re.DOTALL)  # names may have digits, too
+    parts[::2] = [re.sub(r"(\d\.\d\d)\d+", r"\1", part) for part in parts[::2]]
+    text = "".join(parts)
     # Without a size of its own it fills the place it is shown in.
     text = re.sub(r' (width|height)="[0-9.]+pt"', "", text, count=2)
     # What describes the drawing program would be a foreign address.
