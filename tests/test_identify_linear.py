@@ -5,7 +5,7 @@ import pytest
 from sklearn.linear_model import LinearRegression
 from sklearn.utils.estimator_checks import check_estimator
 
-from hil.estimators.least_squares import JointwiseQR
+from hil.estimators.least_squares import JointwiseQR, weighted_least_squares
 from hil.estimators.regression import WeightedLeastSquares
 
 
@@ -88,3 +88,9 @@ def test_compressed_observations_give_the_same_fit_and_residuals() -> None:
     residual = (target.ravel() - W @ whole.coef_).reshape(300, 3)
     expected = np.sqrt(np.sum(residual**2, axis=0) / (300 - 4 / 3))
     assert observed.residual_std(whole.coef_) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("rows", [0, 3])
+def test_rows_that_are_no_numbers_are_refused(rows) -> None:
+    with pytest.raises(ValueError, match=f"not these {rows}"):
+        weighted_least_squares(np.full((rows, 2), np.nan), np.ones(rows))

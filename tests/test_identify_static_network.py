@@ -155,6 +155,11 @@ def test_a_load_is_added_to_the_prediction() -> None:
     assert np.abs(load[:, 1]).max() > 0.1
 
 
+def test_layers_that_are_set_later_are_those_that_are_trained() -> None:
+    model = StaticMlpLm(layers=(4, 20, 20, 10, 1))
+    assert model.set_params(layers=(4, 6, 1))._mlp.layers == (4, 6, 1)
+
+
 def test_a_stream_gives_what_predict_gives() -> None:
     data = dwells()
     model = small().fit(data, nominal())

@@ -57,10 +57,15 @@ def weighted_least_squares(
         weight: (N,), all 1 when None.
         rank_tolerance: Directions whose singular value, after scaling every column to unit length,
             is below this share of the largest count as not excited; they get the smallest solution.
+
+    Raises:
+        ValueError: There are no rows, or values that are not finite.
     """
     design = np.column_stack([X, y])
     p = design.shape[1] - 1
     triangle = upper_triangle(design if weight is None else design * np.sqrt(weight)[:, None])
+    if not len(design) or not np.isfinite(triangle).all():
+        raise ValueError(f"least squares takes rows of finite numbers, not these {len(design)}")
     factor, target = triangle[:, :p], triangle[:, p]
     length = np.linalg.norm(factor, axis=0)
     length[length == 0] = 1.0

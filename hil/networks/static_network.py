@@ -153,13 +153,17 @@ class StaticMlpLm(StaticModel):
 
     def _check_together(self) -> None:
         super()._check_together()
-        self._mlp = Mlp(self.layers, self.activations)
+        _ = self._mlp  # layers and activations that fit each other
         Settings.given(self._settings())
         if self.validation_percent >= 100.0:
             raise SpecError(
                 f"validation_percent is {self.validation_percent:g}, but must be below 100",
                 hint="20 is usual",
             )
+
+    @property
+    def _mlp(self) -> Mlp:
+        return Mlp(self.layers, self.activations)
 
     def extras(self) -> dict[str, str]:
         """PyTorch on any device but the CPU."""

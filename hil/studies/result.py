@@ -105,7 +105,7 @@ class StudyResult:
         return card("Study", self.title, facts, notes=(*self.summary, *self.warnings))
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON form, but for NaN; `hil.estimators.base.json_bytes` makes those null."""
+        """JSON form, but for NaN; `hil.estimators.json_bytes` makes those null."""
         return {
             "study": self.study,
             "title": self.title,
@@ -193,7 +193,7 @@ def _of_table(table: Table) -> Iterator[str]:
 def _of_curve(curve: Curve) -> Iterator[str]:
     if len(curve.x) != len(curve.y):
         yield f"{curve.name}: {len(curve.x)} values of x for {len(curve.y)} of y"
-    if curve.y_error and len(curve.y_error) != len(curve.y):
+    if len(curve.y_error) and len(curve.y_error) != len(curve.y):
         yield f"{curve.name}: {len(curve.y_error)} error bars for {len(curve.y)} values"
     if len({isinstance(x, str) for x in curve.x}) > 1:
         yield f"{curve.name}: x mixes names and numbers"
