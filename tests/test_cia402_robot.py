@@ -1,5 +1,7 @@
 """The robot layer of the CiA 402 driver, without a bus."""
 
+import sys
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ from hil.arms import load_arm
 from hil.arms.payload import Payload
 from hil.core.errors import CommandRefused, RobotConnectionError, RobotFault, SpecError
 from hil.dynamics.robot_model import RobotModel
-from hil.robot import HasChecks, HasResource, HasTopics, Segment
+from hil.robot import HasChecks, HasResource, HasTopics, RobotProcess, Segment
 from hil_drivers.cia402.can_channel import open_bus
 from hil_drivers.cia402.can_cycle import quick_stop_frames, stop_directly
 from hil_drivers.cia402.commissioning import (
@@ -334,3 +336,14 @@ def test_drives_that_tell_no_temperature_are_not_asked():
     thermometer.ask_all()
     thermometer.look()
     assert drives.axes == []
+
+
+def test_where_python_can_is_missing_the_process_that_joins_the_bus_says_so(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked: list[RobotProcess] = []
+    monkeypatch.setitem(sys.modules, "can", None)
+    monkeypatch.setattr(RobotProcess, "connect", lambda robot: asked.append(robot))
+    robot = Cia402Robot.__new__(Cia402Robot)
+    robot.connect()
+    assert asked == [robot]
