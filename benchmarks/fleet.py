@@ -24,7 +24,7 @@ from typing import Any
 from benchmarks.fleets.dask_processes import dask_processes
 from benchmarks.fleets.recorded import ROBOTS, recordings
 from benchmarks.fleets.timed import Clock, Fits, Took, nothing, timed
-from hil.core.executor import one_thread, processes
+from hil.core.parallel import one_thread, processes
 from hil.models.drift import identity
 from hil.models.fleet import FitResult, How, computed, fit_at, fit_runs
 from hil.models.version import digest_of

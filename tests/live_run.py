@@ -53,7 +53,7 @@ def _main(runs: Path, prompt: str, times: str) -> None:
     from kinematic_robot import KinematicRobot
 
     from hil.arms.payload import Payload
-    from hil.core.live_lock import hold_run
+    from hil.core.lock_file import hold_run
     from hil.engine import Engine, Observers
     from hil.excitation.motion import Hold
     from hil.planning.plan import DwellRule, LoadStep, Plan, Step

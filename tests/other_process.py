@@ -32,7 +32,7 @@ def holding_run(run: Path, then: str = "input()") -> str:
     """Code that holds a run."""
     return (
         "from pathlib import Path\n"
-        "from hil.core.live_lock import hold_run\n"
+        "from hil.core.lock_file import hold_run\n"
         f"with hold_run(Path({str(run)!r})):\n"
         "    print('ready', flush=True)\n"
         f"    {then}\n"

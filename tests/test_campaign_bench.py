@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from hil.cli.app import app
 from hil.core.errors import RobotConnectionError, SpecError
-from hil.core.live_lock import hold_run
+from hil.core.lock_file import hold_run
 from hil.robot import Capabilities
 from hil.robot.lease import leased
 from hil.workflow import robot_status as bench_module

@@ -12,7 +12,7 @@ import pytest
 from live_run import until
 
 from hil.core.errors import DataError, RecordingError
-from hil.core.live_lock import hold_run, run_holder
+from hil.core.lock_file import hold_run, run_holder
 from hil.workflow.remote_control import MOST_BYTES, Control, ControlRequest, drop
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from hil.cli.progress import WatchLines, end_line, live_line
 from hil.core.errors import DataError
-from hil.core.live_lock import hold_run
+from hil.core.lock_file import hold_run
 from hil.engine.standing import words_of
 from hil.recording.run_directory import RunDirectory
 from hil.workflow.following import EventTail, follow, how_it_ended, newest_live, only_live

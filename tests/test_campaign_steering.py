@@ -13,7 +13,7 @@ import pytest
 from live_run import live_run, until
 
 from hil.core.errors import DataError, RobotTimeout
-from hil.core.live_lock import hold_run, is_live
+from hil.core.lock_file import hold_run, is_live
 from hil.recording.events import read_events
 from hil.recording.run_directory import RunDirectory
 from hil.workflow.following import newest_live, only_live

@@ -25,7 +25,7 @@ from typer.testing import CliRunner
 
 from hil.cli.app import app
 from hil.core.errors import DataError, RegistryError, SpecError
-from hil.core.live_lock import hold_run
+from hil.core.lock_file import hold_run
 from hil.models.model_registry import Registry
 from hil.models.version import ModelVersion, numbers_in, write_version
 from hil.recording.run_directory import RunDirectory, run_folders

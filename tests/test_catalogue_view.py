@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from catalogue_runs import settle, write_run
 
-from hil.core.live_lock import hold_run
+from hil.core.lock_file import hold_run
 from hil.recording.run_directory import run_folders
 from hil.runs import view
 from hil.runs.facts import facts_of

@@ -14,9 +14,8 @@ from typing import Any
 
 import pytest
 
-from hil.core.dask_cluster import DaskCluster, checked_address, cluster
 from hil.core.errors import FitError, PluginError, SpecError
-from hil.core.executor import BLAS_VARIABLES
+from hil.core.parallel import BLAS_VARIABLES, DaskCluster, checked_address, cluster
 from hil.studies.base import silent
 from hil.studies.tasks import Task, run_tasks
 
@@ -86,7 +85,7 @@ def test_the_cluster_outlives_whoever_used_it(local: Any) -> None:
 
 
 def test_workers_with_another_hil_are_refused(local: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hil.core.dask_cluster.installed", lambda: "9.9.9")
+    monkeypatch.setattr("hil.core.parallel.installed", lambda: "9.9.9")
     with pytest.raises(FitError, match=r"has hil [\d.]+, and here is 9\.9\.9"):
         DaskCluster(local.scheduler_address)
 
@@ -98,7 +97,7 @@ def test_without_an_address_there_is_no_cluster() -> None:
 
 def test_nobody_at_the_address_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed", reason="distributed is not installed")
-    monkeypatch.setattr("hil.core.dask_cluster.CONNECT_S", 0.2)
+    monkeypatch.setattr("hil.core.parallel.CONNECT_S", 0.2)
     begin = time.monotonic()
     with pytest.raises(FitError, match="no Dask scheduler answers at tcp://127") as caught:
         DaskCluster("tcp://127.0.0.1:9")

@@ -7,7 +7,7 @@ from concurrent.futures import ProcessPoolExecutor
 
 import pytest
 
-from hil.core.executor import BLAS_VARIABLES, cores, processes
+from hil.core.parallel import BLAS_VARIABLES, cores, processes
 
 pytestmark = pytest.mark.quick
 

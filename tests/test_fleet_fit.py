@@ -22,7 +22,7 @@ from typer.testing import CliRunner
 
 from hil.cli.app import app
 from hil.core.errors import DataError, FitError
-from hil.core.executor import one_thread
+from hil.core.parallel import one_thread
 from hil.data.dataset import Dataset
 from hil.maintenance.fleet import experiment_for, spec_for
 from hil.models import fleet

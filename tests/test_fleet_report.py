@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 from hil.cli.app import app
 from hil.core.errors import DataError
-from hil.core.executor import one_thread
+from hil.core.parallel import one_thread
 from hil.maintenance.fleet import experiment_for, probe_fleet, spec_for
 from hil.models.drift import Probe
 from hil.models.drift_features import Features, feature_names

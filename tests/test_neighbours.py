@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from hil.core.errors import DataError, SpecError
-from hil.core.neighbours import MOST_NAMED, neighbour_of, no_file
+from hil.core.suggest import MOST_NAMED, neighbour_of, no_file
 from hil.dynamics.build import read_serial_arm
 from hil.importers.importer import import_recording
 from hil.spec.load import load_spec

@@ -24,7 +24,7 @@ from web_parts import dashboard, require_fit_for_all
 
 from hil.cli.app import main
 from hil.core.files import json_document, json_line, read_json
-from hil.core.live_lock import hold_run
+from hil.core.lock_file import hold_run
 from hil.core.text import json_text, name_read, name_text, quoted, shell_word, utf8_text
 from hil.models.fleet_folder import FleetFolder
 from hil.models.log import damaged

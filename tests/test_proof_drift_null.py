@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from null_probes import FIRST_SEED, probes
 
-from hil.core.executor import processes
+from hil.core.parallel import processes
 from hil.models.drift import FALSE_ALARM, causes, charted
 from hil.models.drift_features import Features
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.core.live_lock import hold_run
+from hil.core.lock_file import hold_run
 from hil.runs import run_folders as module
 from hil.runs.run_folders import KnownRuns
 

@@ -18,9 +18,9 @@ from typing import Any
 import pytest
 from other_process import holding_run, other_process
 
-from hil.core import held_file
+from hil.core import lock_file
 from hil.core.errors import DataError, RecordingError
-from hil.core.live_lock import hold_run, is_live, run_holder
+from hil.core.lock_file import hold_run, is_live, run_holder
 from hil.recording.run_directory import RunDirectory
 from hil.runs.listing import run_listings
 from hil.runs.summary import describe_run
@@ -136,7 +136,7 @@ def test_heartbeat_from_the_future_is_no_sign_of_life(tmp_path: Path) -> None:
 
 def test_without_locks_the_heartbeat_tells(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fcntl, "flock", no_locks)
-    monkeypatch.setattr(held_file, "HEARTBEAT_S", 0.02)
+    monkeypatch.setattr(lock_file, "HEARTBEAT_S", 0.02)
     with hold_run(tmp_path):
         os.utime(tmp_path / ".lock", (0, 0))
         time.sleep(0.2)
@@ -180,8 +180,8 @@ CHILDREN = """
 import multiprocessing, subprocess, sys, time
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
-from hil.core.executor import processes
-from hil.core.live_lock import hold_run
+from hil.core.parallel import processes
+from hil.core.lock_file import hold_run
 
 if __name__ == "__main__":
     with hold_run(Path(sys.argv[1])):
@@ -224,7 +224,7 @@ def test_children_that_outlive_the_holder_do_not_hold_its_run(tmp_path: Path) ->
 FORKED = """
 import os
 from pathlib import Path
-from hil.core.held_file import hold
+from hil.core.lock_file import hold
 held = hold(Path({path!r}), {{"host": "here"}})
 if os.fork() == 0:
     held.release()

@@ -20,7 +20,7 @@ from typer.testing import CliRunner
 
 from hil.cli.app import app
 from hil.core.errors import DataError, RecordingError
-from hil.core.live_lock import hold_run
+from hil.core.lock_file import hold_run
 from hil.core.typing import StructArray
 from hil.recording import Attachment, RunDirectory, read_info, read_topic
 from hil.recording.mcap_records import scan

@@ -12,7 +12,7 @@ from study_parts import result
 from hil.cli.runs import tell_run
 from hil.core import parse_parameters
 from hil.core.errors import DataError
-from hil.core.live_lock import hold_run
+from hil.core.lock_file import hold_run
 from hil.report import summary_lines
 from hil.runs.summary import list_runs
 from hil.studies.store import write_study

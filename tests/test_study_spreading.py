@@ -15,9 +15,9 @@ from typing import Any
 import pytest
 from threadpoolctl import threadpool_info
 
-from hil.core import spreading
+from hil.core import parallel
 from hil.core.errors import FitError, SpecError
-from hil.core.executor import BLAS_VARIABLES, one_thread, spread_over
+from hil.core.parallel import BLAS_VARIABLES, one_thread, spread_over
 from hil.studies.base import Ended, silent
 from hil.studies.tasks import Task, run_tasks
 
@@ -101,7 +101,7 @@ def test_every_task_with_a_name_is_told_once_when_it_is_done(executor: Executor 
 def test_no_more_tasks_are_under_way_than_an_executor_allows(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(spreading, "LOOK_S", 0.01)
+    monkeypatch.setattr(parallel, "LOOK_S", 0.01)
     stuck = Watched(ahead=2, answers=False)
     with pytest.raises(FitError, match="no worker has been left"):
         run_tasks(doubled(), 1, "doubling", silent, stuck)

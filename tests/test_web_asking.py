@@ -19,7 +19,7 @@ from starlette.requests import Request
 from starlette.testclient import TestClient
 
 from hil.core.errors import DataError
-from hil.core.live_lock import hold_run
+from hil.core.lock_file import hold_run
 from hil.dashboard import live_pages, motions, resume_pages, start_pages, streams, wanted
 from hil.dashboard.app import create_app
 from hil.dashboard.listeners import Listeners

@@ -26,7 +26,7 @@ from live_run import until
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
-from hil.core.live_lock import hold_run
+from hil.core.lock_file import hold_run
 from hil.core.throttle import OncePerMinute
 from hil.dashboard.app import create_app
 from hil.dashboard.protocol import LimitedProtocol, Limits

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from web_parts import dashboard, failing, run_in, seen
 
 from hil.cli.app import app
-from hil.core.live_lock import hold_run
+from hil.core.lock_file import hold_run
 from hil.recording.run_directory import RunDirectory
 from hil.runs.view import find_runs
 

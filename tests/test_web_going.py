@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.core.live_lock import hold_run
+from hil.core.lock_file import hold_run
 from hil.dashboard.going import being_planned, going_on
 from hil.dashboard.resume_pages import way_on
 from hil.dashboard.settings import Settings

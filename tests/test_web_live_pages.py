@@ -15,7 +15,7 @@ import pytest
 from interlock_parts import NAMES, made, rows
 from starlette.testclient import TestClient
 
-from hil.core.live_lock import hold_run
+from hil.core.lock_file import hold_run
 from hil.dashboard.app import create_app
 from hil.dashboard.live_facts import LiveRun, header_of
 from hil.dashboard.settings import Settings

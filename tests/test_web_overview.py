@@ -15,7 +15,7 @@ from browser.bench import opened, serving
 from browser.looking import problems_of, tab_to, until
 from web_parts import dashboard, plain, seen
 
-from hil.core.live_lock import hold_run
+from hil.core.lock_file import hold_run
 from hil.recording.run_directory import RunDirectory
 from hil.robot.lease import leased
 

@@ -17,7 +17,7 @@ from started_parts import PROMPT, SPEC, WALL, begun
 from web_parts import dashboard, plain, seen
 
 from hil.core.errors import DataError
-from hil.core.live_lock import hold_run
+from hil.core.lock_file import hold_run
 from hil.dashboard.app import create_app
 from hil.dashboard.settings import Settings
 from hil.recording.run_directory import RunDirectory

@@ -14,7 +14,7 @@ pytest.importorskip("starlette", reason='the dashboard: pip install "hil[web]"')
 from web_parts import SLY, dashboard, plain, run_in, seen
 from web_parts import address_of_run as address
 
-from hil.core.live_lock import hold_run
+from hil.core.lock_file import hold_run
 from hil.dashboard.run_files import SHUT_IN
 
 

@@ -11,7 +11,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from hil.core.executor import BLAS_VARIABLES
+from hil.core.parallel import BLAS_VARIABLES
 
 PATIENCE_S = 60.0
 

@@ -18,7 +18,7 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.identification.mock_recording import advanced, delay_s, recorded, trajectories
 from benchmarks.identification.mock_truth import sign_widths, true_coefficients
-from hil.core.executor import processes
+from hil.core.parallel import processes
 from hil.core.typing import FloatArray, IntArray
 from hil.dynamics import load_model
 from hil.estimators.rigid_linear import Covariance, RigidLeastSquares

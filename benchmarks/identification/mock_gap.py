@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits
 from benchmarks.identification.mock_recording import recorded, trajectories
 from hil.arms import load_arm
 from hil.core.errors import HilError
-from hil.core.executor import processes
+from hil.core.parallel import processes
 from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.data.filters import prepare

@@ -46,7 +46,7 @@ from hil.can.frames import (
     unpack_frame,
 )
 from hil.can.wire_model import Wire
-from hil.core import HeldFile, PluginError, hold, this_process
+from hil.core import LockFile, PluginError, hold
 
 _OFF = pack_frame(ERROR | ERROR_BUS_OFF, bytes(8))
 _BACK = pack_frame(ERROR | ERROR_RESTARTED, bytes(8))
@@ -462,13 +462,13 @@ class Listener:
         self._held.release()
 
 
-def _held_by_us(path: Path) -> HeldFile:
+def _held_by_us(path: Path) -> LockFile:
     lock = path.with_name(path.name + ".lock")
     try:
-        held = hold(lock, {**this_process(), "channel": str(path)})
+        held = hold(lock, {"channel": str(path)})
     except OSError as error:
         raise _unusable(path, error) from error
-    if isinstance(held, HeldFile):
+    if isinstance(held, LockFile):
         return held
     raise PluginError(
         f"channel {path} is taken: {held} hosts it",

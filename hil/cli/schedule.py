@@ -188,8 +188,8 @@ def plan(
 @app.command()
 def show(file: FileArgument, state: StateOption = None, json: JsonFlag = False) -> None:
     """What was done, and what was not and why; what is due next."""
-    from hil.core import holder_of
-    from hil.maintenance import LOCK, ahead
+    from hil.core import LOCK, holder_of
+    from hil.maintenance import ahead
     from hil.workflow import read_armed
 
     spec, folder, ledger = _led(file, state)

@@ -2,6 +2,10 @@
 
 A group such as `hil.estimators` maps names people write in a YAML file to `module:attribute`.
 What is broken is an error when it is named, and a line in `describe_all` otherwise.
+
+Optional libraries come as extras of this distribution. `not_installed` is the error of a library
+that is missing; `require_installed` looks for all that some fits and studies need before a motion
+or a fit begins.
 """
 
 from __future__ import annotations
@@ -72,6 +76,10 @@ def names(group: str) -> tuple[str, ...]:
     return tuple(sorted({point.name for point in _registered(group)}))
 
 
+def _registered(group: str) -> list[EntryPoint]:
+    return sorted(entry_points(group=group), key=lambda point: (point.name, point.value))
+
+
 def load(group: str, name: str) -> Any:
     """Import the plug-in called `name`.
 
@@ -98,6 +106,37 @@ def load_point(point: EntryPoint) -> Any:
             raise not_installed(f"the {kind} {point.name!r}", [missing], extra) from error
         message = f"the {kind} {point.name!r} ({point.value}) does not load: {_cause(error)}"
         raise PluginError(message, hint=_remedy(error, point)) from error
+
+
+def _kind(group: str) -> str:
+    return GROUPS.get(group, f"{group} plug-in")
+
+
+def _cause(error: BaseException) -> str:
+    return f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+
+
+def _remedy(error: BaseException, point: EntryPoint) -> str:
+    for missing in _missing_modules(error):
+        if extra := EXTRA_OF_MODULE.get(missing):
+            return f'pip install "hil[{extra}]"'
+        if missing == point.module.partition(".")[0]:
+            return f"{_distribution(point)} is installed incompletely: install it again"
+        return f"the module {missing!r} is missing: pip install the package that brings it"
+    return f"mend or uninstall {_distribution(point)}; `hil doctor` shows all plug-ins"
+
+
+def _missing_modules(error: BaseException) -> Iterator[str]:
+    """Top-level modules that could not be found, along the chain of causes."""
+    step: BaseException | None = error
+    while step is not None:
+        if isinstance(step, ModuleNotFoundError) and step.name:
+            yield step.name.partition(".")[0]
+        step = step.__cause__ or step.__context__
+
+
+def _distribution(point: EntryPoint) -> str:
+    return f"{point.dist.name} {point.dist.version}" if point.dist else "an unknown distribution"
 
 
 def find(group: str, name: str) -> EntryPoint:
@@ -128,7 +167,7 @@ def absent_modules(extra: str) -> tuple[str, ...]:
 def not_installed(
     who: str, modules: Iterable[str], *extras: str, purpose: str = "", otherwise: str = ""
 ) -> PluginError:
-    """What every missing extra is told with.
+    """Return the error of an extra that is missing.
 
     Args:
         who: Needs the modules.
@@ -148,6 +187,32 @@ def lacking(who: str, modules: Iterable[str]) -> str:
     return f"{who} needs {told}, which {'are' if most else 'is'} not installed"
 
 
+Named = tuple[str, Any]
+"""Words for a fit or study, and its estimator or study."""
+
+
+def require_installed(made: Iterable[Named]) -> None:
+    """Raise if a fit or study could be begun here, but not be finished.
+
+    Raises:
+        PluginError: Extras are missing; all are in the message, and in one command in the hint.
+    """
+    absent = dict(absent_extras(made))
+    if absent:
+        extras = ",".join(dict.fromkeys(absent.values()))
+        raise PluginError("\n".join(absent), hint=f'pip install "hil[{extras}]"')
+
+
+def absent_extras(made: Iterable[Named]) -> Iterator[tuple[str, str]]:
+    """Yield what lacks a library, in words, and the extra that brings it."""
+    for name, one in made:
+        # Plug-ins need not inherit from ours.
+        extras: dict[str, str] = dict(getattr(one, "extras", dict)())
+        for extra, purpose in extras.items():
+            if absent := absent_modules(extra):
+                yield f"{lacking(name, absent)}, {purpose}", extra
+
+
 def describe_all(*, try_loading: bool = True) -> tuple[PluginInfo, ...]:
     """Every registered plug-in with what is wrong with it; never raises.
 
@@ -157,14 +222,6 @@ def describe_all(*, try_loading: bool = True) -> tuple[PluginInfo, ...]:
     return tuple(
         _describe(group, point, try_loading) for group in GROUPS for point in _registered(group)
     )
-
-
-def origin_of(thing: object) -> str:
-    """Class and distribution that an object of a plug-in comes from, for messages."""
-    kind = type(thing)
-    name = f"{kind.__module__}.{kind.__qualname__}"
-    owners = packages_distributions().get(kind.__module__.partition(".")[0], ())
-    return f"{name} of {owners[0]}" if owners else name
 
 
 def _describe(group: str, point: EntryPoint, try_loading: bool) -> PluginInfo:
@@ -178,36 +235,9 @@ def _describe(group: str, point: EntryPoint, try_loading: bool) -> PluginInfo:
     return PluginInfo(*info)
 
 
-def _registered(group: str) -> list[EntryPoint]:
-    return sorted(entry_points(group=group), key=lambda point: (point.name, point.value))
-
-
-def _kind(group: str) -> str:
-    return GROUPS.get(group, f"{group} plug-in")
-
-
-def _distribution(point: EntryPoint) -> str:
-    return f"{point.dist.name} {point.dist.version}" if point.dist else "an unknown distribution"
-
-
-def _cause(error: BaseException) -> str:
-    return f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-
-
-def _remedy(error: BaseException, point: EntryPoint) -> str:
-    for missing in _missing_modules(error):
-        if extra := EXTRA_OF_MODULE.get(missing):
-            return f'pip install "hil[{extra}]"'
-        if missing == point.module.partition(".")[0]:
-            return f"{_distribution(point)} is installed incompletely: install it again"
-        return f"the module {missing!r} is missing: pip install the package that brings it"
-    return f"mend or uninstall {_distribution(point)}; `hil doctor` shows all plug-ins"
-
-
-def _missing_modules(error: BaseException) -> Iterator[str]:
-    """Top-level modules that could not be found, along the chain of causes."""
-    step: BaseException | None = error
-    while step is not None:
-        if isinstance(step, ModuleNotFoundError) and step.name:
-            yield step.name.partition(".")[0]
-        step = step.__cause__ or step.__context__
+def origin_of(thing: object) -> str:
+    """Class and distribution that an object of a plug-in comes from, for messages."""
+    kind = type(thing)
+    name = f"{kind.__module__}.{kind.__qualname__}"
+    owners = packages_distributions().get(kind.__module__.partition(".")[0], ())
+    return f"{name} of {owners[0]}" if owners else name

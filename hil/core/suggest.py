@@ -1,17 +1,24 @@
-"""'Did you mean …?': the one of a handful of known words that a slip of typing made another of."""
+"""'Did you mean …?': the known word, or the file, that a slip of typing made another of.
+
+`closest` judges words: it believes few slips, and none that makes the opposite or another number,
+as a wrong suggestion costs more than none. `neighbour_of` looks in the folder where a file was
+looked for, and falls back on naming the folder that is missing or the few files of its kind.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from difflib import SequenceMatcher
 from itertools import takewhile
+from pathlib import Path
+
+from hil.core.text import shown
 
 LETTERS_A_SLIP = 4
 """A slip is believed for so many letters: one in `csv`, none that makes `spec` of `speed`."""
 
 MOST_SLIPS = 3
-_NUMBER = re.compile(r"[0-9]+")
 
 LEAST_SHARE = 0.5
 """Of a name's letters: `velocity` is meant to be `max_velocity_deg_s`, `s` is not."""
@@ -26,6 +33,7 @@ OPPOSITES = {
         "above below", "before after", "start stop", "open close", "left right", "true false",
     )
 }  # fmt: skip
+
 NOT = ("un", "non", "no", "dis")
 """What makes the opposite of a word, before it or as a word of its own."""
 
@@ -61,6 +69,10 @@ def did_you_mean(word: str, options: Iterable[str]) -> str:
     return f"there is {', '.join(known)}" if known else "there is none"
 
 
+def _fold(word: str) -> str:
+    return word.casefold().replace("-", "_")
+
+
 def _rank(typed: str, known: str) -> int | None:
     """How far an option is from what was typed, 0 being the same; None where it is another."""
     if typed == known:
@@ -83,6 +95,13 @@ def _is_opposite(typed: str, known: str) -> bool:
     )
 
 
+def _words(text: str) -> list[str]:
+    return re.findall(r"[^\W_]+", text)
+
+
+_NUMBER = re.compile(r"[0-9]+")
+
+
 def _has_another_number(typed: str, known: str) -> bool:
     return _NUMBER.sub("#", typed) == _NUMBER.sub("#", known) and _numbers_differ(typed, known)
 
@@ -91,6 +110,20 @@ def _numbers_differ(typed: str, known: str) -> bool:
     """Whether both have as many numbers, and others."""
     one, other = ([n.lstrip("0") for n in _NUMBER.findall(text)] for text in (typed, known))
     return len(one) == len(other) and one != other
+
+
+def _is_part(typed: str, known: str) -> bool:
+    """Whether one has all of the other, its words in any order, and not much more."""
+    few, many = sorted((_words(typed), _words(known)), key=lambda words: len("".join(words)))
+    letters, of = "".join(few), "".join(many)
+    if len(letters) < 2 or len(letters) < LEAST_SHARE * len(of):
+        return False
+    return letters in of or all(any(_is_word(word, other) for other in many) for word in few)
+
+
+def _is_word(word: str, other: str) -> bool:
+    """Within a name, where short words have other neighbours to be told by, these must be right."""
+    return word == other or (len(word) > LETTERS_A_SLIP and _slips(word, other) is not None)
 
 
 def _slips(typed: str, known: str) -> int | None:
@@ -120,29 +153,52 @@ def _distance(a: str, b: str) -> int:
     return last[-1]
 
 
-def _is_part(typed: str, known: str) -> bool:
-    """Whether one has all of the other, its words in any order, and not much more."""
-    few, many = sorted((_words(typed), _words(known)), key=lambda words: len("".join(words)))
-    letters, of = "".join(few), "".join(many)
-    if len(letters) < 2 or len(letters) < LEAST_SHARE * len(of):
-        return False
-    return letters in of or all(any(_is_word(word, other) for other in many) for word in few)
-
-
-def _is_word(word: str, other: str) -> bool:
-    """Within a name, where short words have other neighbours to be told by, these must be right."""
-    return word == other or (len(word) > LETTERS_A_SLIP and _slips(word, other) is not None)
-
-
 def _has_stem(typed: str, known: str) -> bool:
     alike = (x == y for x, y in zip(typed, known, strict=False))
     common = sum(1 for _ in takewhile(bool, alike))
     return common >= LETTERS_A_SLIP and common >= STEM * max(len(typed), len(known))
 
 
-def _words(text: str) -> list[str]:
-    return re.findall(r"[^\W_]+", text)
+MOST_NAMED = 8
+"""Files of a folder that a hint names."""
+
+NOTHING_NEAR = "is the path right, seen from this folder?"
+_MOST_LETTERS = 300
 
 
-def _fold(word: str) -> str:
-    return word.casefold().replace("-", "_")
+def neighbour_of(
+    file: Path, endings: Iterable[str], fits: Callable[[Path], bool] = lambda _: True
+) -> str:
+    """What is there instead, as a hint: the folder missing, a near name, or the few of its kind.
+
+    Args:
+        file: What is not there.
+        endings: Of what could be meant, such as `.urdf`.
+        fits: Tells further whether something could be meant; `OSError` where nobody can know.
+    """
+    folder = file.parent
+    wanted = tuple(endings)
+    try:
+        if not folder.is_dir():
+            return f"there is no folder {shown(str(folder), _MOST_LETTERS)}"
+        beside = [path for path in folder.iterdir() if path.suffix.casefold() in wanted]
+        names = sorted(path.name for path in beside if fits(path))
+    except (OSError, ValueError):  # ValueError: a name that no file system takes
+        names = []
+    if match := closest(file.name, names):
+        return f"did you mean {folder / match}?"
+    if 0 < len(names) <= MOST_NAMED:
+        return f"there is {', '.join(names)}"
+    return NOTHING_NEAR
+
+
+def no_file(file: Path) -> str:
+    """`there is no file poses.csv in /cell`: by its whole path, or with the folder it starts at."""
+    told = f"there is no file {shown(str(file), _MOST_LETTERS)}"
+    return told if file.is_absolute() else f"{told} in {shown(str(Path.cwd()), _MOST_LETTERS)}"
+
+
+def no_file_but(file: Path, endings: Iterable[str]) -> str:
+    """`no_file` with what is there instead, where that can be told, for a list of problems."""
+    instead = neighbour_of(file, endings)
+    return no_file(file) if instead == NOTHING_NEAR else f"{no_file(file)}; {instead}"

@@ -33,7 +33,7 @@ from typing import Any, NamedTuple, TypeAlias
 import yaml
 
 from hil.core.errors import SpecError
-from hil.core.neighbours import neighbour_of
+from hil.core.suggest import neighbour_of
 from hil.core.text import shown
 
 MOST_BYTES = 256 * 1024

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 from zoneinfo import ZoneInfo
 
-from hil.core import MOST_BYTES, HilError, holder_of, quoted, read_source
+from hil.core import LOCK, MOST_BYTES, HilError, holder_of, quoted, read_source
 from hil.dashboard.settings import Settings
-from hil.maintenance import LEDGER_FILE, LOCK, Ledger, ahead, occasions
+from hil.maintenance import LEDGER_FILE, Ledger, ahead, occasions
 from hil.recording import folders_in
 from hil.spec import KEY, ScheduleSpec, load_schedule_spec
 

@@ -18,7 +18,6 @@ from .fleet import robots_like as robots_like
 from .fleet import run_fleet as run_fleet
 from .fleet import spec_for as spec_for
 from .ledger import LEDGER_FILE as LEDGER_FILE
-from .ledger import LOCK as LOCK
 from .ledger import Ledger as Ledger
 from .ledger import Line as Line
 from .ledger import ahead as ahead

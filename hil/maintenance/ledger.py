@@ -37,11 +37,10 @@ from hil.core import (
     RobotConnectionError,
     RobotError,
     Stopped,
+    hold_folder,
     json_line,
     json_text,
-    this_process,
 )
-from hil.core import hold as hold_file
 from hil.models import append_line, read_lines
 from hil.recording import operator
 
@@ -85,7 +84,7 @@ class Work(Protocol):
         """
 
 
-LEDGER_FILE, OCCASIONS, LOCK = "ledger.jsonl", "occasions", ".lock"
+LEDGER_FILE, OCCASIONS = "ledger.jsonl", "occasions"
 Line = Mapping[str, Any]
 
 
@@ -344,18 +343,14 @@ def kept(folder: Path, name: str) -> Iterator[Ledger]:
         RecordingError: It cannot be written to.
     """
     _make(folder)
-    try:
-        held = hold_file(folder / LOCK, this_process() | {"schedule": name})
-    except OSError as error:
-        raise RecordingError(
-            f"cannot lock {folder}: {error.strerror or error}", hint="name another with --state"
-        ) from error
-    if isinstance(held, Holder):
-        raise DataError(
-            f"the schedule in {folder} is run by {held}",
+
+    def busy(holder: Holder) -> DataError:
+        return DataError(
+            f"the schedule in {folder} is run by {holder}",
             hint=f"stop that one first, or look at it: hil schedule show FILE --state {folder}",
         )
-    with held:
+
+    with hold_folder(folder, busy, {"schedule": name}, hint="name another with --state"):
         yield Ledger.read(folder)
 
 

@@ -8,8 +8,8 @@ its spec in `start.json`, and so the fleet and the robot it is of, however this 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -17,14 +17,11 @@ from typing import Any
 
 from hil.core import (
     DataError,
-    Holder,
-    RecordingError,
-    hold,
+    hold_folder,
     json_document,
     new_folder,
     read_json,
     require_known_version,
-    this_process,
     write_once,
     write_replacing,
 )
@@ -138,25 +135,19 @@ class FleetFolder:
         paths = {key: member[key] for key in ("run", "report") if member.get(key)}
         return {key: os.path.relpath(path, self.path) for key, path in paths.items()}
 
-    @contextmanager
-    def held(self) -> Iterator[None]:
+    def held(self) -> AbstractContextManager[None]:
         """Alone at work on this fleet while inside; freed by this process's death.
 
         Raises:
             DataError: Another process is at it.
             RecordingError: The folder cannot be locked.
         """
-        try:
-            taken = hold(self.path / ".lock", this_process())
-        except OSError as error:
-            raise RecordingError(
-                f"cannot lock {self.path}: {error.strerror or error}",
-                hint="see whether the folder may be written to and the disk has room",
-            ) from error
-        if isinstance(taken, Holder):
-            raise DataError(f"{self.path} belongs to {taken}", hint="wait until that has ended")
-        with taken:
-            yield
+        return hold_folder(
+            self.path,
+            lambda holder: DataError(
+                f"{self.path} belongs to {holder}", hint="wait until that has ended"
+            ),
+        )
 
 
 def completed(members: Sequence[dict[str, Any]]) -> list[Path]:

@@ -39,7 +39,7 @@ from typing import Any, Literal, get_args
 
 from hil.core import (
     DataError,
-    HeldFile,
+    LockFile,
     RecordingError,
     fsync_directory,
     hold,
@@ -48,7 +48,6 @@ from hil.core import (
     read_json,
     require_known_version,
     sha256_of,
-    this_process,
     write_once,
 )
 from hil.recording.events import EventLog, foreign_lines, read_events
@@ -430,18 +429,18 @@ def claimed(root: Path, folder: Path) -> Iterator[Claim]:
             shutil.rmtree(claim.draft, ignore_errors=True)
 
 
-def _hold_number(root: Path, folder: Path) -> tuple[HeldFile, Claim]:
+def _hold_number(root: Path, folder: Path) -> tuple[LockFile, Claim]:
     number = max((number_of(run) for run in run_folders(root)), default=0)
     while True:
         number += 1
         path = root / f"{_CLAIM}{number:04d}"
         try:
-            lock = hold(path, this_process())
+            lock = hold(path)
         except PermissionError:
             if not path.exists():
                 raise
             continue  # the claim of another user
-        if not isinstance(lock, HeldFile):
+        if not isinstance(lock, LockFile):
             continue
         with contextlib.ExitStack() as undo:
             undo.enter_context(lock)
@@ -464,8 +463,8 @@ def _remove_abandoned(root: Path) -> None:
         if holder_of(path) is not None:
             continue
         with contextlib.suppress(OSError):
-            lock = hold(path, this_process())
-            if isinstance(lock, HeldFile):
+            lock = hold(path)
+            if isinstance(lock, LockFile):
                 with lock:
                     _remove_drafts(root, path)
 

@@ -2,7 +2,7 @@
 
 A lease is a file per robot in `$HIL_LEASES`, by default in a folder of this user's in `/tmp`, which
 unlike `$XDG_RUNTIME_DIR` is the same one in a session, under cron and after logging out. It is
-locked while held, says who holds it, and is touched every second (`hil.core.held_file`).
+locked while held, says who holds it, and is touched every second (`hil.core.lock_file`).
 """
 
 from __future__ import annotations
@@ -21,13 +21,12 @@ from pathlib import Path
 from types import TracebackType
 
 from hil.core import (
-    HeldFile,
     Holder,
+    LockFile,
     RobotConnectionError,
     SpecError,
     hold,
     holder_of,
-    this_process,
 )
 from hil.robot.protocol import HasResource, Robot
 
@@ -94,7 +93,7 @@ class Lease:
     """
 
     resource: str
-    file: HeldFile | None = None
+    file: LockFile | None = None
 
     def note_run(self, run: Path) -> None:
         """Let others see which run the robot is busy with."""
@@ -180,10 +179,10 @@ def lease_holder(resource: str) -> Holder | None:
     return holder_of(lease_path(resource))
 
 
-def _take(resource: str, about: dict[str, str]) -> HeldFile | Holder:
+def _take(resource: str, about: dict[str, str]) -> LockFile | Holder:
     try:
         _make_folder()
-        return hold(lease_path(resource), this_process() | about, shared=_is_shared())
+        return hold(lease_path(resource), about, shared=_is_shared())
     except OSError as error:
         raise RobotConnectionError(
             f"cannot keep a lease in {leases_folder()}: {error.strerror or error}",

@@ -51,7 +51,7 @@ def run_tasks(
         what: Is being done, for whoever watches.
         progress: Told after every task.
         executor: Takes their place whatever `jobs` is, and stays open; by default that of
-            `hil.core.executor.spread_over`, if there is one around.
+            `hil.core.parallel.spread_over`, if there is one around.
 
     Raises:
         FitError: A process died.

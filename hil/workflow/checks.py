@@ -20,7 +20,7 @@ from hil.core import (
     Problem,
     Source,
     SpecError,
-    missing,
+    absent_extras,
     read_source,
     refuse,
     require_installed,
@@ -357,4 +357,4 @@ def _made(spec: ExperimentSpec) -> list[Named]:
 
 def missing_extras(spec: ExperimentSpec) -> list[str]:
     """What `require_extras` would refuse, in words: another computer may have what is missing."""
-    return [f'{told} → pip install "hil[{extra}]"' for told, extra in missing(_made(spec))]
+    return [f'{told} → pip install "hil[{extra}]"' for told, extra in absent_extras(_made(spec))]

@@ -433,7 +433,7 @@ def hold_attempt(run: Path) -> Iterator[None]:
     and requests to it, is not of this one.
 
     Raises:
-        DataError, RecordingError: See `hil.core.live_lock.hold_run`.
+        DataError, RecordingError: See `hil.core.lock_file.hold_run`.
     """
     with hold_run(run):
         forget_live(run)
