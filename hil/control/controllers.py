@@ -18,7 +18,7 @@ from hil.control.try_out_settings import RATE_HZ
 from hil.core import FloatArray
 from hil.dynamics import RobotModel
 from hil.estimators import RobotEstimator
-from hil.networks import CorrectedModel
+from hil.networks import ResidualNetwork
 
 NOTHING, GRAVITY, NOMINAL, MODEL = "no model", "gravity", "datasheet arm", "model"
 
@@ -101,7 +101,7 @@ def _at(t: FloatArray, known: FloatArray, rows: FloatArray) -> FloatArray:
 
 def rate_of(model: RobotEstimator) -> float:
     """Samples per second that the model has to be asked at [Hz]; the controller's where any do."""
-    if isinstance(model, CorrectedModel) and np.any(model.correction_.kept):
+    if isinstance(model, ResidualNetwork) and np.any(model.correction_.kept):
         return model.correction_.networks[0].rate_hz
     return RATE_HZ
 

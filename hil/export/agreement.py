@@ -17,7 +17,7 @@ from hil.core import FitError, FloatArray
 from hil.dynamics import RobotModel
 from hil.estimators import RobotEstimator
 from hil.export.program import NetworkFriction, Program
-from hil.networks import CorrectedModel
+from hil.networks import ResidualNetwork
 
 RATE_HZ = 250.0
 SAMPLES = 300
@@ -63,7 +63,7 @@ def golden_of(model: RobotEstimator, samples: int = SAMPLES, rate_hz: float = RA
     q = jittered(q, qd)
     bare, loaded = (_streamed(model, q, qd, qdd, load) for load in (Payload(), LOAD))
     residuals = None
-    if isinstance(model, CorrectedModel) and np.any(model.correction_.kept):
+    if isinstance(model, ResidualNetwork) and np.any(model.correction_.kept):
         inner = (_streamed(model.base_, q, qd, qdd, load) for load in (Payload(), LOAD))
         residuals = np.stack([bare, loaded]) - np.stack(list(inner))
     return Golden(q, qd, qdd, bare, loaded, residuals)

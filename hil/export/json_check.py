@@ -43,7 +43,7 @@ from hil.export.json_reader import (
     torque_per_effort,
 )
 from hil.export.program import bodies
-from hil.networks import CorrectedModel, LagrangianModel
+from hil.networks import LagrangianEstimator, ResidualNetwork
 
 EXACT = 1e-9
 """Largest difference as a share of each joint's largest value: numbers are written in full."""
@@ -75,7 +75,7 @@ def checked(model: RobotEstimator, document: Document) -> str:
     Raises:
         FitError: The document says something else than the model.
     """
-    physics = model.base_ if isinstance(model, CorrectedModel) else model
+    physics = model.base_ if isinstance(model, ResidualNetwork) else model
     told = differences(physics, document, comparisons(physics, document))
     alone = "computed from the document alone, largest difference as a share of the largest value: "
     left_out = _not_compared(physics, document)
@@ -105,7 +105,7 @@ def differences(
     for what, theirs, ours in compared:
         with np.errstate(all="ignore"):
             difference = _difference(ours(document), theirs)
-        if not difference < (SINGLE if isinstance(physics, LagrangianModel) else EXACT):
+        if not difference < (SINGLE if isinstance(physics, LagrangianEstimator) else EXACT):
             raise FitError(
                 f"{what} computed from the document differ from the model's by {difference:.1g} "
                 "of the largest",
@@ -126,11 +126,11 @@ def _difference(ours: FloatArray, theirs: FloatArray) -> float:
 def comparisons(physics: RobotEstimator, document: Document) -> list[Compared]:
     """All that can be compared of a model, evaluated once; of the document what there is counts."""
     found: list[Compared] = []
-    if isinstance(physics, RigidLinear | RigidHysteresis | LagrangianModel):
+    if isinstance(physics, RigidLinear | RigidHysteresis | LagrangianEstimator):
         found += _efforts(physics)
     elif isinstance(physics, StaticModel):
         found += _at_rest(physics)
-    if isinstance(physics, LagrangianModel) and physics.intrinsic_:
+    if isinstance(physics, LagrangianEstimator) and physics.intrinsic_:
         found.append(_curve(physics))
     gear = getattr(physics, "gear_rigid_", None)
     if gear is not None and any(one["group"] == "gear" for one in document["parameters"]):
@@ -157,7 +157,7 @@ def _computed(
 ) -> Callable[[Document, FloatArray | None], FloatArray]:
     """Whole efforts, sample by sample, from a document; what networks add is the model's own."""
     learnt = np.zeros_like(motion[0])
-    if isinstance(physics, LagrangianModel):
+    if isinstance(physics, LagrangianEstimator):
         t = np.arange(len(learnt)) / RATE_HZ
         parts = physics.predict(motion_of(physics, t, *motion)).components
         names = ["inertia", "coriolis", "gravity"] + ["friction"] * (not physics.intrinsic_)
@@ -179,7 +179,7 @@ def _creeping(n: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     return np.cumsum(0.004 * qd, axis=0), qd, np.zeros_like(qd)
 
 
-def _curve(physics: LagrangianModel) -> Compared:
+def _curve(physics: LagrangianEstimator) -> Compared:
     """Friction alone, at steady speeds: in efforts its rounding is that of the whole network."""
     from hil.networks import network_of
 

@@ -52,7 +52,7 @@ from hil.estimators import (
 from hil.export.exported import Exported, effort_unit, require_new, write_file
 from hil.export.json_check import checked
 from hil.export.program import LEAST_NETWORK_SPEED, flange_in_last_joint
-from hil.networks import CorrectedModel, LagrangianModel, StaticMlpLm
+from hil.networks import LagrangianEstimator, ResidualNetwork, StaticMlpLm
 
 FORMAT = 1
 """Grows when a reader of older documents would misread a new one."""
@@ -87,7 +87,7 @@ def document_of(model: RobotEstimator) -> dict[str, Any]:
     """
     if not hasattr(model, "sigma_"):
         raise FitError(f"{model.estimator} is not fitted yet", hint="call fit first")
-    physics = model.base_ if isinstance(model, CorrectedModel) else model
+    physics = model.base_ if isinstance(model, ResidualNetwork) else model
     parts = {
         "hil_export": FORMAT,
         "model": model_part(model),
@@ -130,7 +130,7 @@ def model_part(model: RobotEstimator) -> dict[str, Any]:
         "condition": getattr(model, "condition_", None),
         "training": stored["training"],
         "fingerprint_sha256": stored["arrays_sha256"],
-        "physics": model.base_.estimator if isinstance(model, CorrectedModel) else None,
+        "physics": model.base_.estimator if isinstance(model, ResidualNetwork) else None,
         "notes": list(model.notes_),
     }
 
@@ -198,7 +198,7 @@ def sigma_part(model: RobotEstimator) -> dict[str, Any]:
 
 
 def _sigma_of(model: RobotEstimator) -> str:
-    if isinstance(model, RigidHysteresis | CorrectedModel | LagrangianModel):
+    if isinstance(model, RigidHysteresis | ResidualNetwork | LagrangianEstimator):
         return "root mean square error on trajectories that were left out of the fit"
     if isinstance(model, StaticMlpLm):
         return "root mean square error at poses held out of the training, if there were any"
@@ -234,11 +234,11 @@ def parameters_of(model: RobotEstimator) -> list[Entry]:
 
     Kinds of estimators that are not known here have their `coefficients_`, if any, without units.
     """
-    if isinstance(model, CorrectedModel):
+    if isinstance(model, ResidualNetwork):
         return parameters_of(model.base_)
     if isinstance(model, RigidHysteresis):
         return list(_hysteresis(model))
-    if isinstance(model, LagrangianModel):
+    if isinstance(model, LagrangianEstimator):
         return list(_lagrangian(model))
     if isinstance(model, RigidLinear):
         return list(_linear(model))
@@ -325,7 +325,7 @@ def _shapes(model: RigidHysteresis, law: FrictionLaw) -> Iterator[Entry]:
         yield from _own(model, names, row.tolist(), {word: term}, Spread.none(len(names), reason))
 
 
-def _lagrangian(model: LagrangianModel) -> Iterator[Entry]:
+def _lagrangian(model: LagrangianEstimator) -> Iterator[Entry]:
     found = dict(model.intrinsic_)
     terms = dict(NETWORK.get(model.design_.kind, {}))
     if model.length_ is not None and remembers(model):
@@ -539,13 +539,13 @@ AT_REST = (
 
 def friction_part(model: RobotEstimator) -> dict[str, Any]:
     """The law behind the parameters: its name, its formula and its constants."""
-    if isinstance(model, CorrectedModel):
+    if isinstance(model, ResidualNetwork):
         return friction_part(model.base_)
     if isinstance(model, RigidHysteresis):
         constants = {"reference_celsius": REFERENCE_C, "ripple_fades_rad_s": RIPPLE_FADES_RAD_S}
         usual = {"usual_celsius": model.law_.celsius}
         return _law("library", f"{SUM}; {DAHL}; {SYMBOLS}", True, constants | usual)
-    if isinstance(model, LagrangianModel):
+    if isinstance(model, LagrangianEstimator):
         return _network_law(model)
     if isinstance(model, RigidDiffnea):
         memory, width = model.friction == "memory", {"sign_width_rad_s": model.sign_width}
@@ -578,12 +578,12 @@ def _law(
     return base | {"level_nm": more.get("level_nm")}
 
 
-def remembers(model: LagrangianModel) -> bool:
+def remembers(model: LagrangianEstimator) -> bool:
     """Whether friction has Dahl's state for the sign of the velocity."""
     return model.length_ is not None and model.design_.friction.sign != "hard"
 
 
-def _network_law(model: LagrangianModel) -> dict[str, Any]:
+def _network_law(model: LagrangianEstimator) -> dict[str, Any]:
     kind, hard = model.design_.kind, model.design_.friction.sign == "hard"
     if kind not in NETWORK:
         return _law(kind, f"{kind}: no parameters that mean anything", False, {})
@@ -608,9 +608,9 @@ def _at_rest(model: StaticFriction) -> dict[str, Any]:
 
 def networks_part(model: RobotEstimator) -> list[dict[str, Any]]:
     """What was learnt that no single number tells: sizes, and where the weights lie."""
-    if isinstance(model, CorrectedModel):
+    if isinstance(model, ResidualNetwork):
         return [_residual(model), *networks_part(model.base_)]
-    if isinstance(model, LagrangianModel):
+    if isinstance(model, LagrangianEstimator):
         weights = sum(int(w.size) for w in model.weights_.values() if w.dtype.kind == "f")
         what = "inertia matrix and potential of the arm, and friction where it is a network"
         inputs = ["q", "qd", "qdd", "direction"]
@@ -631,7 +631,7 @@ def networks_part(model: RobotEstimator) -> list[dict[str, Any]]:
     return []
 
 
-def _residual(model: CorrectedModel) -> dict[str, Any]:
+def _residual(model: ResidualNetwork) -> dict[str, Any]:
     correction = model.correction_
     first = correction.networks[0]
     weights = sum(

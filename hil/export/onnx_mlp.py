@@ -23,7 +23,7 @@ from hil.estimators import RobotEstimator
 from hil.export.agreement import AGREES, FAULT, RATE_HZ, SAMPLES, motion, scale_of
 from hil.export.exported import Exported, effort_unit, require_new, write_file
 from hil.export.program import LagrangianTerms, lagrangian_terms
-from hil.networks import LagrangianModel, StaticMlpLm, position_inputs, positions_only
+from hil.networks import LagrangianEstimator, StaticMlpLm, position_inputs, positions_only
 
 OPSET, IR_VERSION = 13, 7
 """The oldest that have every operator as it is used here: converters lag behind ONNX."""
@@ -197,7 +197,7 @@ def chain_of(model: RobotEstimator) -> Chain:
         raise FitError(f"{model.estimator} is not fitted yet", hint="call fit first")
     if isinstance(model, StaticMlpLm):
         return _static(model)
-    if isinstance(model, LagrangianModel):
+    if isinstance(model, LagrangianEstimator):
         return _trunk(model)
     raise FitError(
         f"{model.estimator} is no chain of fully connected layers",
@@ -253,7 +253,7 @@ def _scaled(layers: list[Layer], scale: FloatArray, mean: FloatArray) -> tuple[L
     return (*layers[:-1], Layer(last.weight * scale, last.bias * scale + mean))
 
 
-def _trunk(model: LagrangianModel) -> Chain:
+def _trunk(model: LagrangianEstimator) -> Chain:
     terms = lagrangian_terms(model)
     if terms.activation not in OPERATORS:
         raise FitError(
@@ -296,7 +296,9 @@ def _turned(n: int) -> Layer:
     return Layer(np.hstack([eye, eye]), np.r_[np.full(n, np.pi / 2), np.zeros(n)], "sin")
 
 
-def _trunk_says(model: LagrangianModel, scale: FloatArray) -> Callable[[FloatArray], FloatArray]:
+def _trunk_says(
+    model: LagrangianEstimator, scale: FloatArray
+) -> Callable[[FloatArray], FloatArray]:
     def says(q: FloatArray) -> FloatArray:
         import torch
 

@@ -39,10 +39,10 @@ from hil.estimators import (
 )
 from hil.networks import (
     Activation,
-    CorrectedModel,
     Correction,
     FrictionKind,
-    LagrangianModel,
+    LagrangianEstimator,
+    ResidualNetwork,
     TrainedTcn,
 )
 
@@ -241,13 +241,13 @@ def program_of(model: RobotEstimator) -> Program:
     """
     if not hasattr(model, "sigma_"):
         raise FitError(f"{model.estimator} is not fitted yet", hint="call fit first")
-    if isinstance(model, CorrectedModel):
+    if isinstance(model, ResidualNetwork):
         return _corrected(model)
     if isinstance(model, RigidHysteresis):
         base = base_parameters(model.robot_, rotor=True)
         rigid, gears = (base.expand(beta) for beta in (model.rigid_, model.gear_rigid_))
         return _program_with(model, rigid, gears, model.law_)
-    if isinstance(model, LagrangianModel):
+    if isinstance(model, LagrangianEstimator):
         nothing = np.zeros((BODY + 1) * model.robot_.n)
         program = _program_with(model, nothing, nothing, lagrangian_friction(model))
         return replace(program, lagrangian=lagrangian_terms(model))
@@ -278,7 +278,7 @@ def program_of(model: RobotEstimator) -> Program:
     )
 
 
-def _corrected(model: CorrectedModel) -> Program:
+def _corrected(model: ResidualNetwork) -> Program:
     inner = program_of(model.base_)
     correction = model.correction_
     if not np.any(correction.kept):
@@ -380,7 +380,7 @@ LEAST_NETWORK_REST_SPEED, LEAST_NETWORK_SPEED = 1e-4, 1e-6
 """As the friction of `hil.networks.lagrangian` has them, which torch is needed to read."""
 
 
-def lagrangian_terms(model: LagrangianModel) -> LagrangianTerms:
+def lagrangian_terms(model: LagrangianEstimator) -> LagrangianTerms:
     """Those of a fitted `lagrangian`."""
     from hil.networks import network_of
 
@@ -417,7 +417,7 @@ def _precision_of(weights: Mapping[str, np.ndarray[Any, Any]]) -> Kind:
 
 
 def lagrangian_friction(
-    model: LagrangianModel,
+    model: LagrangianEstimator,
 ) -> PlainFriction | ShapedFriction | NetworkFriction:
     """Friction of a fitted `lagrangian`."""
     kind: FrictionKind = model.design_.kind
@@ -452,7 +452,7 @@ def lagrangian_friction(
     )
 
 
-def _network_friction(model: LagrangianModel) -> NetworkFriction:
+def _network_friction(model: LagrangianEstimator) -> NetworkFriction:
     weights, settings = model.weights_, model.design_.friction
     names = [f"friction.network.{2 * i}" for i in range(len(settings.hidden) + 1)]
     return NetworkFriction(

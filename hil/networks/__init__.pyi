@@ -1,6 +1,6 @@
 from .lagrangian import LagrangianNetwork as LagrangianNetwork
 from .lagrangian import network_of as network_of
-from .lagrangian_network import LagrangianModel as LagrangianModel
+from .lagrangian_network import LagrangianEstimator as LagrangianEstimator
 from .lagrangian_settings import LAGRANGIAN_CHOICES as LAGRANGIAN_CHOICES
 from .lagrangian_settings import Activation as Activation
 from .lagrangian_settings import FrictionKind as FrictionKind
@@ -10,7 +10,7 @@ from .lm import train as train
 from .mlp import Mlp as Mlp
 from .residual_data import TRAINING as TRAINING
 from .residual_data import ResidualSettings as ResidualSettings
-from .residual_network import CorrectedModel as CorrectedModel
+from .residual_network import ResidualNetwork as ResidualNetwork
 from .residual_selection import Correction as Correction
 from .residual_tcn import TrainedTcn as TrainedTcn
 from .static_network import StaticMlpLm as StaticMlpLm

@@ -344,6 +344,3 @@ class LagrangianEstimator(RobotEstimator):
         ):
             raise ValueError(f"length: {length.tolist()!s:.60}")
         self._network()
-
-
-LagrangianModel = LagrangianEstimator

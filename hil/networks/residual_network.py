@@ -387,9 +387,6 @@ class ResidualNetwork(RobotEstimator):
             raise ValueError("selection: not the joints that kept their network")
 
 
-CorrectedModel = ResidualNetwork
-
-
 class CorrectedStream:
     """Steps the physics, then networks with ring buffers on what it says.
 
