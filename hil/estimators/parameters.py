@@ -12,7 +12,8 @@ and an `Args` section for `help`, and scikit-learn's `get_params` and `set_param
 importing scikit-learn. A subclass inherits the parameters behind its own; one that assigns a plain
 value instead (`form = "shared"`) has no such parameter. What parameters must be together, it checks
 in `_check_together`. Classes with a constructor of their own work as well: its keywords are the
-parameters, each stored in an attribute of the same name.
+parameters, each stored in an attribute of the same name. Such a class cannot declare parameters
+too, because its constructor would ignore them: TypeError when the class is made.
 
 The checks (`number`, `whole`, `share`, `flag`, `choice`, `mapping`, `settings`) take the
 parameter's name and value, return the value to be stored and raise `SpecError` with that name;
@@ -89,10 +90,24 @@ class Parametrised:
         for base in cls.__mro__:
             own = own | {name: value for name, value in vars(base).items() if name not in own}
         cls._declared = {n: each for n, each in own.items() if isinstance(each, Parameter)}
+        cls._refuse_unread_parameters()
         cls.__signature__ = cls._signature()
         if cls._declared and "Args:" not in (cls.__doc__ or "") and "__doc__" in vars(cls):
             lines = "".join(f"    {name}: {each.doc}\n" for name, each in cls._declared.items())
             cls.__doc__ = f"{inspect.cleandoc(cls.__doc__ or '')}\n\nArgs:\n{lines}"
+
+    @classmethod
+    def _refuse_unread_parameters(cls) -> None:
+        """Raise TypeError if the class declares parameters that its constructor does not read."""
+        ignored = [name for name, each in vars(cls).items() if isinstance(each, Parameter)]
+        if not ignored or cls.__init__ is Parametrised.__init__:
+            return
+        by = next(base.__qualname__ for base in cls.__mro__ if "__init__" in vars(base))
+        raise TypeError(
+            f"{cls.__qualname__} declares {', '.join(ignored)} with parameter(...), which the "
+            f"constructor {by}.__init__ ignores: remove that constructor, or make them its "
+            "keywords instead"
+        )
 
     def __init__(self, **params: Any) -> None:
         require_known(params, tuple(self._declared), type(self).__name__)
