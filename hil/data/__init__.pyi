@@ -5,6 +5,7 @@ from .approach_path import Q as Q
 from .approach_path import Track as Track
 from .approach_path import arrival as arrival
 from .approach_path import directions as directions
+from .dataset import MOTION as MOTION
 from .dataset import PREPARED as PREPARED
 from .dataset import UPRIGHT as UPRIGHT
 from .dataset import Conditions as Conditions

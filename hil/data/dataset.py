@@ -19,7 +19,10 @@ from hil.core import BoolArray, DataError, FloatArray, IntArray, card
 UPRIGHT = (0.0, 0.0, -9.81)
 """Gravity in the base frame of an arm that stands on a level table [m/s²]."""
 
-PREPARED = ("q_f", "qd_f", "qdd_f", "effort_f")
+MOTION = ("q_f", "qd_f", "qdd_f")
+"""Columns of the smoothed motion, in the order in which a regressor takes them."""
+
+PREPARED = (*MOTION, "effort_f")
 """Columns that preprocessing adds (`hil.data.filters.prepare`)."""
 
 OF_JOINTS = frozenset({"q", "qd", "qdd", "effort", *PREPARED})

@@ -30,7 +30,7 @@ from scipy.special import expit
 
 from hil.arms import Payload
 from hil.core import FloatArray
-from hil.data import Dataset, Stream
+from hil.data import MOTION, Dataset, Stream
 from hil.dynamics import (
     BaseParameters,
     RobotModel,
@@ -54,7 +54,7 @@ from hil.estimators.least_squares import (
     upper_triangle,
 )
 from hil.estimators.parameters import choice, number, parameter
-from hil.estimators.rigid_linear import MOTION, RigidLinear
+from hil.estimators.rigid_linear import RigidLinear
 from hil.estimators.streaming import DahlMemory, SampleStream
 
 WELL_CONDITIONED = 1e7

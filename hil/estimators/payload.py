@@ -30,7 +30,7 @@ import numpy as np
 
 from hil.arms import Payload
 from hil.core import BoolArray, DataError, FitError, FloatArray, IntArray, SpecError, card, number
-from hil.data import Dataset, FilterSettings, Prediction, is_prepared, rows_of, sample_rate
+from hil.data import MOTION, Dataset, FilterSettings, Prediction, is_prepared, rows_of, sample_rate
 from hil.dynamics import (
     body_parameters,
     from_pseudo_inertia,
@@ -578,7 +578,7 @@ class LoadProblem:
                 f"{len(kept)} rows are too few to tell a load: at least {LEAST_ROWS} are needed",
                 hint="record the arm with the load on a motion of some seconds",
             )
-        W = model.robot_.payload_regressor(*(kept[name] for name in ("q_f", "qd_f", "qdd_f")))
+        W = model.robot_.payload_regressor(*(kept[name] for name in MOTION))
         rigid = W / np.tile(model.torque_scale_, len(kept))[:, None]
         return LoadProblem(model, data, keep, kept, _only(bare, keep), rigid, friction)
 

@@ -26,6 +26,7 @@ from hil.arms import Payload
 from hil.core import BoolArray, DataError, FloatArray, IntArray, SpecError, did_you_mean
 from hil.data import (
     AT_REST,
+    MOTION,
     Conditions,
     Dataset,
     FilterSettings,
@@ -85,8 +86,6 @@ from hil.estimators.friction_library import (
 from hil.estimators.friction_memory import path_steps
 from hil.estimators.parameters import flag, number, parameter, settings
 from hil.estimators.streaming import DahlMemory, SampleStream
-
-MOTION = ("q_f", "qd_f", "qdd_f")
 
 FRICTION_SAMPLES = 10
 """Samples per joint for its friction, beside those for the links."""

@@ -30,6 +30,7 @@ import numpy as np
 
 from hil.core import BoolArray, FitError, FloatArray, IntArray, SpecError
 from hil.data import (
+    MOTION,
     Conditions,
     Dataset,
     FilterSettings,
@@ -70,8 +71,6 @@ from hil.estimators.least_squares import (
     total_least_squares,
 )
 from hil.estimators.parameters import choice, flag, number, parameter, settings
-
-MOTION = ("q_f", "qd_f", "qdd_f")
 
 TERMS = ("coulomb", "viscous", "offset")
 """Friction columns per joint."""

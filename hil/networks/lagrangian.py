@@ -30,9 +30,9 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from hil.core import BoolArray, FitError, FloatArray, SpecError
-from hil.data import Dataset
+from hil.data import MOTION, Dataset
 from hil.estimators import DahlMemory, one_sample
-from hil.networks.lagrangian_data import DIRECTION, MOTION, Task, smooth_sign
+from hil.networks.lagrangian_data import DIRECTION, Task, smooth_sign
 from hil.networks.lagrangian_friction import friction_network
 from hil.networks.lagrangian_settings import Design, NetworkSettings
 from hil.networks.training import FRICTION, Curves, Stage, TrainingSettings, Watch, unwatched

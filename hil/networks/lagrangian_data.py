@@ -16,11 +16,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.core import BoolArray, FloatArray, IntArray
-from hil.data import Dataset, FilterSettings, downsample, learn_and_validate, rows_of, rows_to_fit
+from hil.data import (
+    MOTION,
+    Dataset,
+    FilterSettings,
+    downsample,
+    learn_and_validate,
+    rows_of,
+    rows_to_fit,
+)
 from hil.dynamics import RobotModel, base_parameters
 from hil.estimators import CHUNK, dahl_states, path_steps, payload_torque
-
-MOTION = ("q_f", "qd_f", "qdd_f")
 
 DIRECTION = "direction"
 """Column (N, n) of a dataset: the smooth sign of the motion, or Dahl's state."""
@@ -163,7 +169,7 @@ def fitted_lengths(
 def _rigid_columns(dataset: Dataset, learn: IntArray, robot: RobotModel) -> FloatArray:
     """(M, n, b) base regressor of the rows."""
     base = base_parameters(robot, rotor=True)
-    motion = [dataset[name][learn] for name in ("q_f", "qd_f", "qdd_f")]
+    motion = [dataset[name][learn] for name in MOTION]
     found = [
         base.regressor(robot, *(x[first : first + CHUNK] for x in motion))
         for first in range(0, len(learn), CHUNK)

@@ -23,6 +23,7 @@ from hil.arms import Payload
 from hil.core import DataError, FloatArray
 from hil.data import (
     BY_SAMPLE,
+    MOTION,
     Dataset,
     FilterSettings,
     Prediction,
@@ -60,7 +61,7 @@ from hil.estimators import (
     without_prefix,
 )
 from hil.networks import lagrangian_settings as choices
-from hil.networks.lagrangian_data import DIRECTION, MOTION, Preparation, directions, smooth_sign
+from hil.networks.lagrangian_data import DIRECTION, Preparation, directions, smooth_sign
 from hil.networks.lagrangian_settings import FRICTIONS, Design
 from hil.networks.training import LEARN, TO_TRAIN, Curves, TrainingSettings, Watch, require_torch
 
