@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import signal
@@ -16,6 +17,7 @@ from hil.core import plugins
 from hil.core.errors import FitError, SpecError
 from hil.data.dataset import Dataset
 from hil.dynamics import RobotModel
+from hil.estimators import json_bytes
 from hil.studies.base import GROUP, Ended, Progress, Study, silent, tell_ended
 from hil.studies.figure import Curve, Figure, Panel
 from hil.studies.result import Part, StudyResult, Table
@@ -97,6 +99,14 @@ def result(*figures: Figure, tables: tuple[Table, ...] = (), study: str = "count
     """A result with one honest part."""
     part = Part("Honest", "honest", ("What it means.",), tables, figures)
     return StudyResult(study, "A study", ("Ours is best.",), (part,), {"epochs": 3})
+
+
+def assert_figures_survive_json(found: StudyResult) -> None:
+    """What is read from `study.json` is what was written; compared as text, where NaN is NaN."""
+    again = StudyResult.from_dict(json.loads(json_bytes(found.to_dict())))
+    for before, after in zip(found.parts, again.parts, strict=True):
+        for one, other in zip(before.figures, after.figures, strict=True):
+            assert repr(other) == repr(one)
 
 
 def register(monkeypatch: pytest.MonkeyPatch, **studies: str) -> None:

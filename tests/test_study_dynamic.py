@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from sklearn.linear_model import LinearRegression
+from study_parts import assert_figures_survive_json
 from synthetic_motion import SIGN_WIDTH, moving, nominal, raw
 
 import hil
@@ -69,6 +70,7 @@ def test_the_result_can_be_shown_and_survives_json(found: StudyResult) -> None:
     assert faults_of(found) == []
     again = StudyResult.from_dict(json.loads(json_bytes(found.to_dict())))
     assert table(again, "table-honest").rows == table(found, "table-honest").rows
+    assert_figures_survive_json(found)
 
 
 def test_both_protocols_stand_side_by_side_and_are_labelled(found: StudyResult) -> None:

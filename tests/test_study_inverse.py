@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from inverse_parts import SMALL, Toy, run_of, toys
+from study_parts import assert_figures_survive_json
 from synthetic_motion import LOAD, nominal, plant
 
 from hil.core.errors import DataError, FitError
@@ -62,6 +63,7 @@ def test_the_result_can_be_shown_and_survives_json() -> None:
     assert faults_of(found) == []
     again = StudyResult.from_dict(json.loads(json_bytes(found.to_dict())))
     assert table(again, "table-honest").rows == table(found, "table-honest").rows
+    assert_figures_survive_json(found)
 
 
 def test_both_protocols_stand_side_by_side_and_are_labelled() -> None:

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from load_parts import OFF_AXIS, ON_AXIS, recorded, sweep
 from report_runs import dwell_plan, write_run
+from study_parts import assert_figures_survive_json
 from synthetic_motion import nominal, raw
 from typer.testing import CliRunner
 
@@ -73,6 +74,7 @@ def test_every_load_has_its_bars_told_and_not() -> None:
         for curve in panel.curves:
             assert curve.x == ("0 kg", "1 kg", "3 kg", "5 kg")
     assert faults_of(found()) == []
+    assert_figures_survive_json(found())
 
 
 BOTH = ("rigid-wls", "rigid-irls")

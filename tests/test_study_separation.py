@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from separation_parts import FRICTION, program, robot
 from sklearn.linear_model import LinearRegression
+from study_parts import assert_figures_survive_json
 
 import hil
 from hil.data.dataset import Dataset
@@ -95,6 +96,7 @@ def test_the_result_can_be_shown_and_survives_json(found: StudyResult) -> None:
     assert faults_of(found) == []
     again = StudyResult.from_dict(json.loads(json_bytes(found.to_dict())))
     assert table(again, "table-4").rows == table(found, "table-4").rows
+    assert_figures_survive_json(found)
 
 
 def test_both_protocols_stand_side_by_side_and_are_labelled(found: StudyResult) -> None:

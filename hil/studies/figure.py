@@ -5,15 +5,19 @@ with matplotlib in a file. A curve without a `Look` gets one by the order of its
 so that the same name looks the same in every panel; pages whose colours have a meaning (measured,
 predicted, joint 3) give the look. The legend is not described: it follows from names and looks.
 
-Studies store their figures in `study.json` (`to_dict`, `figure_from_dict`). They use names, numbers
-and styles only; looks, bands and marks are not stored.
+Studies store their figures in `study.json` (`to_dict`, `figure_from_dict`). A field that was added
+later than the file format is stored only where it is not its default: older files can be read, and
+figures that do not use it are stored as before.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, TypeAlias
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import MISSING, dataclass, fields, is_dataclass
+from functools import partial
+from typing import Any, ClassVar, Literal, TypeAlias, TypeVar, get_args
+
+import numpy as np
 
 from hil.core import FloatArray
 
@@ -180,55 +184,115 @@ class Figure:
     kind: ClassVar = "figure"
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON form of what studies store."""
-        return {
-            "key": self.key,
-            "title": self.title,
-            "caption": self.caption,
-            "panels": [_panel_to_dict(panel) for panel in self.panels],
-            "per_row": self.per_row,
-        }
+        """JSON form, but for arrays and NaN; `hil.estimators.json_bytes` converts those."""
+        stored: dict[str, Any] = _stored(self)
+        return stored
+
+
+ALWAYS_STORED = frozenset({"per_row", "corner", "x", "y", "style", "y_error"})
+"""Fields with a default that every file has had since the first version of the format."""
+
+
+def _stored(value: Any) -> Any:
+    """The fields of a dataclass by name, all the way down; anything else as it is."""
+    if isinstance(value, list | tuple) and value and is_dataclass(value[0]):
+        return [_stored(item) for item in value]
+    if not is_dataclass(value):
+        return value
+    return {
+        field.name: _stored(part)
+        for field in fields(value)
+        for part in (getattr(value, field.name),)
+        if field.name in ALWAYS_STORED or field.default is MISSING or part != field.default
+    }
+
+
+Made = TypeVar("Made")
+Readers: TypeAlias = Mapping[str, Callable[[Any], Any]]
+
+
+def _read(kind: Callable[..., Made], readers: Readers, raw: Any) -> Made:
+    """Make one of the classes above; a field that is not in the file has its default."""
+    return kind(**{name: read(raw[name]) for name, read in readers.items() if name in raw})
 
 
 def figure_from_dict(raw: Mapping[str, Any]) -> Figure:
-    """Inverse of `Figure.to_dict`, from JSON as well.
+    """Inverse of `Figure.to_dict`, from JSON as well; sequences come back as tuples.
 
     Raises:
         KeyError, TypeError, ValueError: Something is missing or garbled.
     """
-    panels = tuple(
-        Panel(
-            str(panel["title"]),
-            str(panel["x_title"]),
-            str(panel["y_title"]),
-            tuple(_curve(curve) for curve in panel["curves"]),
-            str(panel["corner"]),
-        )
-        for panel in raw["panels"]
-    )
-    key, title, caption = (str(raw[name]) for name in ("key", "title", "caption"))
-    return Figure(key, title, caption, panels, int(raw["per_row"]))
+    return _read(Figure, _FIGURE, raw)
 
 
-def _panel_to_dict(panel: Panel) -> dict[str, Any]:
-    curves = [
-        {name: getattr(curve, name) for name in ("name", "x", "y", "style", "y_error")}
-        for curve in panel.curves
-    ]
-    titles = {"title": panel.title, "x_title": panel.x_title, "y_title": panel.y_title}
-    return {**titles, "curves": curves, "corner": panel.corner}
-
-
-def _curve(raw: Mapping[str, Any]) -> Curve:
-    x = tuple(value if isinstance(value, str) else _number(value) for value in raw["x"])
-    y = tuple(_number(value) for value in raw["y"])
-    error = tuple(_number(value) for value in raw["y_error"])
-    style = raw["style"]
-    if style not in ("line", "points", "bars", "identity"):
-        raise ValueError(f"style: {style!r:.40}")
-    return Curve(str(raw["name"]), x, y, style, error)
-
-
-def _number(value: Any) -> float:
+def _number(raw: Any) -> float:
     """A number of a file, where NaN is null."""
-    return float("nan") if value is None else float(value)
+    return float("nan") if raw is None else float(raw)
+
+
+def _name_or_number(raw: Any) -> str | float:
+    return raw if isinstance(raw, str) else _number(raw)
+
+
+def _each(read: Callable[[Any], Made]) -> Callable[[Any], tuple[Made, ...]]:
+    return lambda raw: tuple(read(item) for item in raw)
+
+
+def _array(raw: Any) -> FloatArray:
+    return np.array(raw, dtype=float)  # null becomes NaN
+
+
+def _one_of(words: tuple[str, ...], raw: Any) -> Any:
+    if raw not in words:
+        raise ValueError(f"{raw!r:.40} is none of {', '.join(words)}")
+    return raw
+
+
+# How each field is read, class by class; what a file has besides is for a newer hil.
+_NUMBERS = _each(_number)
+_LOOK: Readers = {
+    **dict.fromkeys(("colour", "dash", "symbol", "pattern"), str),
+    **dict.fromkeys(("width", "size", "opacity"), float),
+}
+_CURVE: Readers = {
+    "name": str,
+    "x": _each(_name_or_number),
+    "y": _NUMBERS,
+    "style": partial(_one_of, get_args(Style)),
+    "y_error": _NUMBERS,
+    "look": partial(_read, Look, _LOOK),
+    "hover": _each(str),
+}
+_AXIS: Readers = {
+    "scale": partial(_one_of, get_args(Scale)),
+    "limits": _NUMBERS,
+    "from_zero": bool,
+    "whole": bool,
+}
+_BAND: Readers = {"name": str, "half": float}
+_MARK: Readers = {"x": _name_or_number, "text": str, "name": str}
+_SPAN: Readers = {"begin": float, "end": float, "approach": int}
+_GRID: Readers = {"x": _array, "y": _array, "log_count": _array}
+_PANEL: Readers = {
+    "title": str,
+    "x_title": str,
+    "y_title": str,
+    "curves": _each(partial(_read, Curve, _CURVE)),
+    "corner": str,
+    "alt": str,
+    "wide": bool,
+    "x_axis": partial(_read, Axis, _AXIS),
+    "y_axis": partial(_read, Axis, _AXIS),
+    "band": partial(_read, Band, _BAND),
+    "marks": _each(partial(_read, Mark, _MARK)),
+    "spans": _each(partial(_read, Span, _SPAN)),
+    "grid": partial(_read, Grid, _GRID),
+    "square": bool,
+}
+_FIGURE: Readers = {
+    "key": str,
+    "title": str,
+    "caption": str,
+    "panels": _each(partial(_read, Panel, _PANEL)),
+    "per_row": int,
+}
