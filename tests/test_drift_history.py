@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 
 import hil
 from hil.cli.app import app
+from hil.core import json_value
 from hil.core.errors import DataError, RegistryError
-from hil.estimators.model_file import plain
 from hil.models.drift import PROBES_FILE, assess, identity, probes_of
 from hil.models.model_registry import Registry
 from hil.models.pointers import pointed
@@ -67,9 +67,9 @@ def test_a_load_nobody_told_of_is_named(registry, quiet, tmp_path: Path) -> None
 def test_a_probe_is_judged_once_and_kept(registry, quiet) -> None:
     first = assess(registry, "ur5", quiet[0])
     again = assess(registry, "ur5", quiet[0])
-    assert plain(again.to_dict()) == plain(first.to_dict())
+    assert json_value(again.to_dict()) == json_value(first.to_dict())
     (kept,) = probes_of(registry, "ur5")
-    assert plain(kept.to_dict()) == plain(first.to_dict())
+    assert json_value(kept.to_dict()) == json_value(first.to_dict())
 
 
 def test_runs_of_probes_lead_to_the_registry(registry, quiet, tmp_path: Path) -> None:

@@ -22,13 +22,12 @@ from test_dynamics_momentum import SLIDING
 from typer.testing import CliRunner
 
 from hil.cli.app import app
-from hil.core import plugins
+from hil.core import json_document, plugins
 from hil.core.errors import FitError, RecordingError
 from hil.dynamics import RobotModel, base_parameters
 from hil.estimators import estimator, load_model_file, save_model
 from hil.estimators.base import GROUP
 from hil.estimators.friction_library import groups
-from hil.estimators.model_file import json_bytes
 from hil.export import json_check, json_export, json_reader
 from hil.export.agreement import LOAD
 from hil.export.json_check import checked
@@ -169,7 +168,7 @@ def test_torques_from_a_documents_numbers_are_those_of_any_arm(arm: str, tmp_pat
     beta = random.normal(size=base.rank)
     entries = list(of_base(robot, base, beta, "rigid", Spread.none(base.rank)))
     written = {"robot": robot_part(robot), "parameters": entries}
-    document, q = json.loads(json_bytes(written)), motion(30, robot.n)
+    document, q = json.loads(json_document(written)), motion(30, robot.n)
     wanted = (base.regressor(robot, *q) @ beta).reshape(30, robot.n)
     assert rigid_torque(document, *q) == pytest.approx(wanted, abs=1e-11)
     load = np.array([LOAD.mass, *LOAD.com, *LOAD.inertia])
@@ -186,7 +185,7 @@ def test_units_are_those_of_joints_that_slide_and_limits_that_are_none_are_null(
     units = {one["column"]: one["unit"] for one in entries}
     assert all(unit == "kg" for column, unit in units.items() if column in ("Ia_1", "Ia_3"))
     assert adapted("N·m·s/rad", slides=True) == "N·s/m"
-    joints = json.loads(json_bytes(robot_part(robot)))["joints"]
+    joints = json.loads(json_document(robot_part(robot)))["joints"]
     assert [joint["position_max"] for joint in joints] == [1.0, None, 1.0]
     assert [joint["type"] for joint in joints] == ["prismatic", "revolute", "prismatic"]
 

@@ -10,11 +10,12 @@ from synthetic_memory import remembering
 from synthetic_motion import LOAD, moving, nominal
 
 from hil.arms.payload import Payload
+from hil.core import json_document
 from hil.core.errors import DataError, PluginError, SpecError
 from hil.data.parts import JUDGE, LEARN, VALIDATE, with_part
 from hil.estimators import estimator, load_model_file, save_model
 from hil.estimators.base import HONEST, prepared
-from hil.estimators.model_file import json_bytes, model_files
+from hil.estimators.model_file import model_files
 
 torch = pytest.importorskip("torch", reason="torch is not installed")
 
@@ -160,7 +161,7 @@ def damaged(folder, change):
     path = folder / "model.json"
     document = json.loads(path.read_text())
     change(document["fitted"])
-    path.write_bytes(json_bytes(document))
+    path.write_bytes(json_document(document))
     return folder
 
 

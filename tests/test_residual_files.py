@@ -13,9 +13,10 @@ from synthetic_motion import LOAD
 
 pytest.importorskip("torch", reason="torch is not installed")
 
+from hil.core import json_value
 from hil.core.errors import DataError
 from hil.estimators.base import load_model_file, prepared
-from hil.estimators.model_file import plain, save_model
+from hil.estimators.model_file import save_model
 
 
 def test_a_stored_model_predicts_the_same(tmp_path: Path) -> None:
@@ -71,7 +72,7 @@ def test_a_rate_that_cannot_be_is_refused(rate_hz: float) -> None:
     fresh = type(model())(**model().get_params())
     fresh.robot_ = model().robot_
     with pytest.raises((ValueError, DataError)):
-        fresh.restore(arrays, plain(model().fitted_facts()))
+        fresh.restore(arrays, json_value(model().fitted_facts()))
 
 
 @pytest.mark.parametrize(
@@ -88,4 +89,4 @@ def test_damaged_arrays_are_refused(name: str, damage: str) -> None:
     else:
         broken[name] = np.full_like(arrays[name], np.nan) if damage == "nan" else arrays[name][:1]
     with pytest.raises((KeyError, ValueError, DataError)):
-        fresh.restore(broken, plain(facts))
+        fresh.restore(broken, json_value(facts))

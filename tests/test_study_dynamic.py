@@ -15,14 +15,13 @@ from study_parts import assert_figures_survive_json
 from synthetic_motion import SIGN_WIDTH, moving, nominal, raw
 
 import hil
-from hil.core import plugins
+from hil.core import json_document, plugins
 from hil.core.errors import DataError, FitError
 from hil.data.dataset import Dataset
 from hil.data.filters import FilterSettings, prepare
 from hil.data.splits import assert_disjoint, groups
 from hil.dynamics import base_parameters, coulomb_viscous_columns
 from hil.estimators.base import GROUP
-from hil.estimators.model_file import json_bytes
 from hil.studies import dynamic_methods
 from hil.studies.base import study
 from hil.studies.dynamic_methods import (
@@ -68,7 +67,7 @@ def cell(of: Table, row: str, column: str) -> Any:
 
 def test_the_result_can_be_shown_and_survives_json(found: StudyResult) -> None:
     assert faults_of(found) == []
-    again = StudyResult.from_dict(json.loads(json_bytes(found.to_dict())))
+    again = StudyResult.from_dict(json.loads(json_document(found.to_dict())))
     assert table(again, "table-honest").rows == table(found, "table-honest").rows
     assert_figures_survive_json(found)
 

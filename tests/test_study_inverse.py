@@ -13,11 +13,11 @@ from inverse_parts import SMALL, Toy, run_of, toys
 from study_parts import assert_figures_survive_json
 from synthetic_motion import LOAD, nominal, plant
 
+from hil.core import json_document
 from hil.core.errors import DataError, FitError
 from hil.data.dataset import Dataset, rows_of
 from hil.data.filters import FilterSettings
 from hil.estimators.base import estimator
-from hil.estimators.model_file import json_bytes
 from hil.studies import inverse_dynamics, inverse_fits, inverse_methods
 from hil.studies.base import Ended, study
 from hil.studies.inverse_cases import honest_case, recorded
@@ -61,7 +61,7 @@ def cell(of: Table, row: str, column: str) -> Any:
 def test_the_result_can_be_shown_and_survives_json() -> None:
     found = made()
     assert faults_of(found) == []
-    again = StudyResult.from_dict(json.loads(json_bytes(found.to_dict())))
+    again = StudyResult.from_dict(json.loads(json_document(found.to_dict())))
     assert table(again, "table-honest").rows == table(found, "table-honest").rows
     assert_figures_survive_json(found)
 

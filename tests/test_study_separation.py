@@ -14,9 +14,9 @@ from sklearn.linear_model import LinearRegression
 from study_parts import assert_figures_survive_json
 
 import hil
+from hil.core import json_document
 from hil.data.dataset import Dataset
 from hil.data.splits import group_of
-from hil.estimators.model_file import json_bytes
 from hil.estimators.static_model import paper_functions
 from hil.studies.base import silent, study
 from hil.studies.figure import Figure
@@ -94,7 +94,7 @@ def methods(*keys: str) -> list[Any]:
 
 def test_the_result_can_be_shown_and_survives_json(found: StudyResult) -> None:
     assert faults_of(found) == []
-    again = StudyResult.from_dict(json.loads(json_bytes(found.to_dict())))
+    again = StudyResult.from_dict(json.loads(json_document(found.to_dict())))
     assert table(again, "table-4").rows == table(found, "table-4").rows
     assert_figures_survive_json(found)
 

@@ -14,7 +14,7 @@ torch = pytest.importorskip("torch", reason="torch is not installed")
 
 from safetensors.torch import load, save  # noqa: E402
 
-from hil.estimators.model_file import json_bytes  # noqa: E402
+from hil.core import json_document  # noqa: E402
 from hil.networks import checkpoint  # noqa: E402
 from hil.networks.checkpoint import FILE, Checkpoints  # noqa: E402
 from hil.networks.training import (  # noqa: E402
@@ -253,7 +253,7 @@ def resealed(folder: Path, facts: dict[str, object], **tensors: torch.Tensor | N
     path.write_bytes(content)
     document["tensors_sha256"] = hashlib.sha256(content).hexdigest()
     document["facts"].update(facts)
-    document["facts_sha256"] = hashlib.sha256(json_bytes(document["facts"])).hexdigest()
+    document["facts_sha256"] = hashlib.sha256(json_document(document["facts"])).hexdigest()
     (folder / FILE).write_text(json.dumps(document))
 
 

@@ -33,12 +33,14 @@ from .errors import exit_code_of as exit_code_of
 from .files import fsync_directory as fsync_directory
 from .files import json_document as json_document
 from .files import json_line as json_line
+from .files import json_value as json_value
 from .files import new_folder as new_folder
 from .files import read_json as read_json
 from .files import require_known_version as require_known_version
 from .files import sha256_of as sha256_of
 from .files import write_once as write_once
 from .files import write_replacing as write_replacing
+from .files import write_whole as write_whole
 from .lock_file import LOCK as LOCK
 from .lock_file import Holder as Holder
 from .lock_file import LockFile as LockFile

@@ -1,4 +1,20 @@
-"""Files that are either whole or not there: write, fsync, rename, fsync the directory."""
+"""Files that are whole or not there, folders with a free name, and the JSON documents in them.
+
+A file is written as a draft beside it, which then takes its name: a crash leaves the file of before
+or the new one, never half of either. What has to survive a power loss is flushed to the disk before
+that; a view, which can be made again, is not. Three functions write:
+
+===================  ======================  ========================  =====================
+function             an older file           flushed to the disk       a disk that refuses
+===================  ======================  ========================  =====================
+`write_once`         is an error             with its folder's entry   `RecordingError`
+`write_replacing`    is replaced             no                        `RecordingError`
+`write_whole`        is replaced             yes                       `OSError`, as it comes
+===================  ======================  ========================  =====================
+
+JSON is strict: what it has no word for becomes its nearest (`json_value`), as a NaN would make a
+document that other programs refuse.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +35,7 @@ from hil.core.text import json_text
 
 
 def write_once(path: Path, content: bytes) -> None:
-    """Write a file that did not exist, so that a crash leaves all of it or none of it.
+    """Write a file that did not exist, so that it is there after a power loss, too.
 
     Raises:
         RecordingError: It exists already (no file of a run is rewritten), or the disk refuses.
@@ -29,16 +45,10 @@ def write_once(path: Path, content: bytes) -> None:
             f"{path} exists already, and no file of a run is rewritten",
             hint="write a new file, or start a new run",
         )
-    draft = path.with_name(f".{path.name}.{os.getpid()}.draft")
     try:
-        with draft.open("xb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        draft.rename(path)
+        write_whole(path, content)
         fsync_directory(path.parent)
     except OSError as error:
-        draft.unlink(missing_ok=True)
         raise RecordingError(
             f"cannot write {path}: {error.strerror or error}",
             hint="see whether the folder may be written to and the disk has room",
@@ -51,16 +61,32 @@ def write_replacing(path: Path, content: bytes) -> None:
     Raises:
         RecordingError: The disk refuses, or `path` is a folder; what was there is still there then.
     """
-    draft = path.parent / f".{path.name}.{os.getpid()}.draft"
     try:
-        draft.write_bytes(content)
-        draft.replace(path)
+        _write_draft(path, content, flushed=False)
     except OSError as error:
-        with contextlib.suppress(OSError):  # where nothing can be written, nothing was
-            draft.unlink()
         raise RecordingError(
             f"cannot write {path}: {error.strerror or error}", hint="choose another place for it"
         ) from error
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file that is either whole or not there after a crash. Raises `OSError`."""
+    _write_draft(path, content, flushed=True)
+
+
+def _write_draft(path: Path, content: bytes, *, flushed: bool) -> None:
+    draft = path.parent / f".{path.name}.{os.getpid()}.draft"
+    try:
+        with draft.open("wb") as file:
+            file.write(content)
+            if flushed:
+                file.flush()
+                os.fsync(file.fileno())
+        draft.replace(path)
+    except BaseException:
+        with contextlib.suppress(OSError):  # where nothing can be written, nothing was
+            draft.unlink()
+        raise
 
 
 def fsync_directory(directory: Path) -> None:
@@ -72,6 +98,19 @@ def fsync_directory(directory: Path) -> None:
         os.close(descriptor)
 
 
+def new_folder(above: Path, name: str) -> Path:
+    """Create a folder of this name, or of the name and the next free number."""
+    above.mkdir(parents=True, exist_ok=True)
+    for n in count(1):
+        path = above / (name if n == 1 else f"{name}-{n}")
+        try:
+            path.mkdir()
+        except FileExistsError:
+            continue
+        return path
+    raise AssertionError("there is always a next number")
+
+
 def sha256_of(path: Path, length: int | None = None) -> str:
     """Hexadecimal SHA-256 of a file's content, or of its first `length` bytes."""
     with path.open("rb") as file:
@@ -81,13 +120,32 @@ def sha256_of(path: Path, length: int | None = None) -> str:
 
 
 def json_line(value: Any) -> str:
-    """One line of strict JSON; what JSON has no word for becomes its nearest (NaN → null)."""
-    return json_text(_plain(value), allow_nan=False)
+    """Return one line of strict JSON, see `json_value`."""
+    return json_text(json_value(value), allow_nan=False)
 
 
 def json_document(value: Any) -> bytes:
-    """An indented, strict JSON document."""
-    return json_text(_plain(value), allow_nan=False, indent=2).encode() + b"\n"
+    """Return an indented, strict JSON document, see `json_value`."""
+    return json_text(json_value(value), allow_nan=False, indent=2).encode() + b"\n"
+
+
+def json_value(value: Any) -> Any:
+    """Return a value as strict JSON can hold it.
+
+    NaN and infinity become null, arrays and sets lists, settings their values; else it is `str`.
+    """
+    if isinstance(value, (bool, int, str)) or value is None:
+        return value
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(key): json_value(item) for key, item in value.items()}
+    if isinstance(value, (np.ndarray, np.generic)):
+        return json_value(value.tolist())
+    if isinstance(value, (list, tuple, set, frozenset)):
+        return [json_value(item) for item in value]
+    # Settings of plug-ins are pydantic models.
+    return json_value(value.model_dump()) if hasattr(value, "model_dump") else str(value)
 
 
 _DAMAGED = "it is damaged, or no file of hil: take it from a copy that is whole"
@@ -136,30 +194,3 @@ def require_known_version(where: Path, document: Mapping[str, Any], key: str, kn
             f"{where} was written by a newer hil: {key} is {version}, known here up to {known}",
             hint="update hil (pip install --upgrade hil) and read it again",
         )
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, (bool, int, str)) or value is None:
-        return value
-    if isinstance(value, float):
-        return float(value) if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, (np.ndarray, np.generic)):
-        return _plain(value.tolist())
-    if isinstance(value, (list, tuple, set, frozenset)):
-        return [_plain(item) for item in value]
-    return str(value)
-
-
-def new_folder(above: Path, name: str) -> Path:
-    """Create a folder of this name, or of the name and the next free number."""
-    above.mkdir(parents=True, exist_ok=True)
-    for n in count(1):
-        path = above / (name if n == 1 else f"{name}-{n}")
-        try:
-            path.mkdir()
-        except FileExistsError:
-            continue
-        return path
-    raise AssertionError("there is always a next number")

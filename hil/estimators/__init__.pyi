@@ -54,13 +54,10 @@ from .friction_library import column_names as column_names
 from .friction_memory import dahl_states as dahl_states
 from .friction_memory import path_steps as path_steps
 from .model_file import Training as Training
-from .model_file import json_bytes as json_bytes
 from .model_file import model_files as model_files
-from .model_file import plain as plain
 from .model_file import save_model as save_model
 from .model_file import with_prefix as with_prefix
 from .model_file import without_prefix as without_prefix
-from .model_file import write_whole as write_whole
 from .model_folder import MODEL_FILE as MODEL_FILE
 from .model_folder import models_below as models_below
 from .model_folder import only_model as only_model

@@ -16,8 +16,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,7 +24,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 
 from hil.arms import Payload, require_same_arm
-from hil.core import DataError, FitError, FloatArray, SpecError, json_text
+from hil.core import DataError, FitError, FloatArray, SpecError, json_document, write_whole
 from hil.data import Dataset, Sketch
 from hil.dynamics import MOTOR_SIDE, RobotModel
 from hil.estimators.model_folder import MODEL_FILE
@@ -105,38 +103,7 @@ def model_files(model: Savable) -> dict[str, bytes]:
         "arrays_sha256": hashlib.sha256(arrays).hexdigest(),
     }
     files = {ARRAYS_FILE: arrays} | ({URDF_FILE: urdf} if urdf is not None else {})
-    return files | {MODEL_FILE: json_bytes(document)}
-
-
-def json_bytes(document: Mapping[str, Any]) -> bytes:
-    """Strict, indented JSON; NaN and infinity become null, settings become their values."""
-    return json_text(plain(document), indent=2, allow_nan=False).encode() + b"\n"
-
-
-def plain(value: Any) -> Any:
-    """A value as JSON can hold it."""
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(item) for item in value]
-    if isinstance(value, (np.ndarray, np.generic)):
-        return plain(value.tolist())
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return plain(value.model_dump()) if hasattr(value, "model_dump") else value
-
-
-def write_whole(path: Path, content: bytes) -> None:
-    """Write a file that is either whole or not there after a crash."""
-    draft = path.with_name(f".{path.name}.{os.getpid()}.draft")
-    try:
-        with draft.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        draft.replace(path)
-    finally:
-        draft.unlink(missing_ok=True)
+    return files | {MODEL_FILE: json_document(document)}
 
 
 def read_document(path: Path) -> dict[str, Any]:

@@ -21,15 +21,11 @@ from hil.core import (
     card,
     number,
     require_installed,
+    write_whole,
 )
 from hil.data import Dataset
 from hil.dynamics import RobotModel
-from hil.estimators import (
-    RobotEstimator,
-    Training,
-    model_files,
-    write_whole,
-)
+from hil.estimators import RobotEstimator, Training, model_files
 from hil.estimators import estimator as make_estimator
 from hil.evaluation.evaluation import evaluate
 from hil.evaluation.validation import (

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hil.core import DataError, card
+from hil.core import DataError, card, json_document, write_whole
 from hil.data import SAME_SHARE, Dataset, revisited
-from hil.estimators import RobotEstimator, json_bytes, write_whole
+from hil.estimators import RobotEstimator
 from hil.evaluation.evaluation import Evaluation
 from hil.evaluation.validation_load import UnderLoad
 from hil.importers import serial_of
@@ -95,7 +95,7 @@ def keep(path: Path, judged: Sequence[Validation]) -> None:
     fresh = [one.to_keep() for one in judged]
     again = {one.source for one in judged}
     kept = [entry for entry in document.get("validation", ()) if entry["source"] not in again]
-    content = json_bytes(document | {"validation": [*kept, *fresh]})
+    content = json_document(document | {"validation": [*kept, *fresh]})
     if not path.exists() or path.read_bytes() != content:
         write_whole(path, content)
 

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hil.core import RecordingError
-from hil.estimators import write_whole
+from hil.core import RecordingError, write_whole
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hil.core import FitError, FloatArray
+from hil.core import FitError, FloatArray, json_document
 from hil.dynamics import BaseParameters, RobotModel, about_centre, base_parameters
 from hil.estimators import (
     LEAST_SPEED,
@@ -46,7 +46,6 @@ from hil.estimators import (
     StaticModel,
     WlsEstimator,
     column_names,
-    json_bytes,
     model_files,
 )
 from hil.export.exported import Exported, effort_unit, require_new, write_file
@@ -71,7 +70,7 @@ def export_json(model: RobotEstimator, out: Path) -> Exported:
     """
     require_new(out)
     document = document_of(model)
-    write_file(json_bytes(document), out)
+    write_file(json_document(document), out)
     joints, unit = model.joint_names_, document["effort"]["unit"]
     count = len(document["parameters"])
     told = sum(one["std"] is not None for one in document["parameters"])
@@ -100,7 +99,7 @@ def document_of(model: RobotEstimator) -> dict[str, Any]:
         "links": links_part(model),
         "networks": networks_part(model),
     }
-    document: dict[str, Any] = json.loads(json_bytes(parts))
+    document: dict[str, Any] = json.loads(json_document(parts))
     return document | {"checked": checked(model, document)}
 
 

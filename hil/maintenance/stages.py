@@ -16,8 +16,7 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import Any
 
-from hil.core import RecordingError, json_document, json_line, sha256_of
-from hil.estimators import write_whole
+from hil.core import RecordingError, json_document, json_line, sha256_of, write_whole
 
 Document = dict[str, Any]
 Do = Callable[[Mapping[str, Document]], Mapping[str, Any]]

@@ -33,9 +33,16 @@ import numpy as np
 from scipy.stats import norm
 from scipy.stats import t as student
 
-from hil.core import BoolArray, DataError, FloatArray, RegistryError, read_json, sha256_of
+from hil.core import (
+    BoolArray,
+    DataError,
+    FloatArray,
+    RegistryError,
+    read_json,
+    sha256_of,
+)
 from hil.data import Dataset
-from hil.estimators import RobotEstimator, plain
+from hil.estimators import RobotEstimator
 from hil.evaluation import require_unseen, usable_part
 from hil.importers import load_source
 from hil.models.drift_features import UNITS, Features, features_of
@@ -170,7 +177,7 @@ def assess(
             bool(chart.alarm.any()), found, _least(chart), chart.reference,
         )  # fmt: skip
         leave_pointer(registry.root, [source])
-        append_line(registry.root / name / PROBES_FILE, plain(probe.to_dict()))
+        append_line(registry.root / name / PROBES_FILE, probe.to_dict())
     return probe
 
 

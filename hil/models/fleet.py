@@ -39,10 +39,11 @@ from hil.core import (
     processes,
     read_json,
     spread,
+    write_whole,
 )
 from hil.dynamics import load_model
 from hil.estimators import estimator as make_estimator
-from hil.estimators import load_model_file, models_below, write_whole
+from hil.estimators import load_model_file, models_below
 from hil.evaluation import (
     EVALUATION_FILE,
     Parts,

@@ -22,8 +22,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from hil.core import RegistryError, fsync_directory, json_text, shell_word
-from hil.estimators import json_bytes, write_whole
+from hil.core import (
+    RegistryError,
+    fsync_directory,
+    json_document,
+    json_line,
+    shell_word,
+    write_whole,
+)
 from hil.models.version import folder_of, numbers_in, read_version
 from hil.recording import operator, utc_now
 
@@ -398,7 +404,7 @@ def repair(folder: Path) -> Repair | None:
 
 def write_view(folder: Path, aliases: Aliases) -> None:
     """Write `aliases.json`, a view of the log for people."""
-    _replace(folder / ALIASES_FILE, json_bytes(aliases.to_dict()))
+    _replace(folder / ALIASES_FILE, json_document(aliases.to_dict()))
 
 
 def append_line(path: Path, document: Mapping[str, Any]) -> None:
@@ -407,7 +413,7 @@ def append_line(path: Path, document: Mapping[str, Any]) -> None:
     Raises:
         RegistryError: It cannot be written.
     """
-    _append_bytes(path, _json_line(document))
+    _append_bytes(path, json_line(document).encode())
 
 
 def read_lines(path: Path) -> list[tuple[int, bytes]]:
@@ -431,11 +437,6 @@ def _lines_in(path: Path) -> int:
     """Return the number of lines, a torn last one included."""
     content = path.read_bytes() if path.exists() else b""
     return content.count(b"\n") + bool(content.rpartition(b"\n")[2])
-
-
-def _json_line(document: Mapping[str, Any]) -> bytes:
-    """Return a document on one line, whatever line breaks are in it."""
-    return json_text(document, allow_nan=False).encode()
 
 
 def _append_bytes(path: Path, line: bytes) -> None:
@@ -496,13 +497,13 @@ def _append(folder: Path, before: Inspected, entry: Entry) -> None:
 
 
 def _line(entry: Entry, before: str, number: int) -> bytes:
-    return _json_line(entry.to_dict() | {"before": before, "line": number})
+    return json_line(entry.to_dict() | {"before": before, "line": number}).encode()
 
 
 def _write_head(folder: Path, entries: Sequence[Entry], sha256: str) -> None:
     aliases = Aliases.after(entries).to_dict()
     document = {"hil_head": HEAD_FORMAT, "lines": len(entries), "sha256": sha256, **aliases}
-    _replace(folder / HEAD_FILE, json_bytes(document))
+    _replace(folder / HEAD_FILE, json_document(document))
 
 
 def _replace(path: Path, content: bytes) -> None:

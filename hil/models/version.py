@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hil.core import RegistryError, card, fsync_directory
-from hil.estimators import json_bytes
+from hil.core import RegistryError, card, fsync_directory, json_document
 
 VERSION_FILE = "version.json"
 FORMAT = 1
@@ -145,7 +144,7 @@ def write_version(home: Path, version: ModelVersion, files: Mapping[str, bytes])
     try:
         shutil.rmtree(draft, ignore_errors=True)
         draft.mkdir(parents=True)
-        for name, content in {**files, VERSION_FILE: json_bytes(_document(version))}.items():
+        for name, content in {**files, VERSION_FILE: json_document(_document(version))}.items():
             _write(draft / name, content)
         fsync_directory(draft)
         draft.rename(version.folder)

@@ -18,8 +18,7 @@ from typing import Any
 
 import torch
 
-from hil.core import CheckpointRefused, DataError
-from hil.estimators import json_bytes, plain, write_whole
+from hil.core import CheckpointRefused, DataError, json_document, json_value, write_whole
 
 FORMAT = 2
 FILE = "checkpoint.json"
@@ -65,7 +64,7 @@ class Checkpoints:
         self, folder: Path, training: Mapping[str, Any], start: Mapping[str, float]
     ) -> None:
         self._folder = folder
-        self._training = plain(training)
+        self._training = json_value(training)
         self._start = dict(start)
         self._last: Snapshot | None = None
         self._written = time.monotonic()
@@ -157,7 +156,7 @@ class Checkpoints:
         }
         self._folder.mkdir(parents=True, exist_ok=True)
         write_whole(tensors, content)
-        write_whole(self._folder / FILE, json_bytes(document))
+        write_whole(self._folder / FILE, json_document(document))
         for older in self._folder.glob("state-*.safetensors"):
             if older != tensors:
                 older.unlink(missing_ok=True)
@@ -203,7 +202,7 @@ class Checkpoints:
 
 def _digest(facts: Mapping[str, Any]) -> str:
     """Of the facts as JSON: one digit of a learning curve decides where a training ends."""
-    return hashlib.sha256(json_bytes(facts)).hexdigest()
+    return hashlib.sha256(json_document(facts)).hexdigest()
 
 
 def _short(value: object) -> str:

@@ -105,7 +105,7 @@ class StudyResult:
         return card("Study", self.title, facts, notes=(*self.summary, *self.warnings))
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON form, but for NaN; `hil.estimators.json_bytes` makes those null."""
+        """JSON form, but for NaN; `hil.core.json_document` makes those null."""
         return {
             "study": self.study,
             "title": self.title,

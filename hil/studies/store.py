@@ -12,8 +12,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from hil.core import DataError, FitError
-from hil.estimators import json_bytes, write_whole
+from hil.core import DataError, FitError, json_document, write_whole
 from hil.studies.result import StudyResult, faults_of
 
 STUDY_FORMAT = 1
@@ -26,7 +25,7 @@ DIGEST_LENGTH = 12
 def folder_of(name: str, parameters: Mapping[str, Any]) -> str:
     """`<name>-<digest>` of a study with all its parameters, defaults included."""
     # Not at the top: reading a result must not load the estimators.
-    text = json_bytes({"study": name, "parameters": dict(sorted(parameters.items()))})
+    text = json_document({"study": name, "parameters": dict(sorted(parameters.items()))})
     return f"{name}-{hashlib.sha256(text).hexdigest()[:DIGEST_LENGTH]}"
 
 
@@ -84,5 +83,5 @@ def problem_files(run: Path) -> Sequence[Path]:
 
 def _write(path: Path, document: Mapping[str, Any]) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, json_bytes(document))
+    write_whole(path, json_document(document))
     return path

@@ -16,11 +16,20 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hil.core import CheckpointRefused, DataError, FitError, HilError, Stopped, Throttle, read_json
+from hil.core import (
+    CheckpointRefused,
+    DataError,
+    FitError,
+    HilError,
+    Stopped,
+    Throttle,
+    json_document,
+    read_json,
+)
 from hil.data import Dataset
 from hil.dynamics import load_model
 from hil.engine import Observers, Outcome, SignalWatch, StopSignal
-from hil.estimators import HONEST, estimator, json_bytes
+from hil.estimators import HONEST, estimator
 from hil.evaluation import (
     DIGEST_LENGTH,
     EVALUATION_FILE,
@@ -392,7 +401,7 @@ def fit_or_go_on(
 
 
 def _folder(run: Path, fit: Fit) -> Path:
-    text = json_bytes({"estimator": fit.estimator, "parameters": fit.parameters})
+    text = json_document({"estimator": fit.estimator, "parameters": fit.parameters})
     digest = hashlib.sha256(text).hexdigest()[:DIGEST_LENGTH]
     return run / FOLDER / f"{fit.estimator}-{digest}"
 

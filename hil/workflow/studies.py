@@ -26,12 +26,13 @@ from hil.core import (
     Throttle,
     cores,
     is_live,
+    json_value,
     path_of,
     plugins,
     values_by_name,
 )
 from hil.dynamics import RobotModel, load_model
-from hil.estimators import HONEST, load_model_file, plain
+from hil.estimators import HONEST, load_model_file
 from hil.evaluation import FailedFit
 from hil.importers import load_source, serial_of
 from hil.recording import RunDirectory
@@ -259,7 +260,7 @@ def _make(
         with threadpool_limits(_blas_threads()):
             found = one.run(*of, progress)
         seconds = time.perf_counter() - begin
-        asked: dict[str, Any] = plain(one.get_params())
+        asked: dict[str, Any] = json_value(one.get_params())
         found = replace(found, study=progress.name, parameters=asked, seconds=seconds)
         if progress.name == STUDY:
             others = of_other_arms(folder.parent.parent, asked.get("models") or ())

@@ -6,8 +6,7 @@ from collections.abc import Callable
 
 from hil.arms import AnyPayload, payload_of
 from hil.control import FRICTION_SHARE, MOST_SEED, Trial, run_trial, trial_place
-from hil.core import AnyPath, SpecError, path_of, whole_number
-from hil.estimators import json_bytes
+from hil.core import AnyPath, SpecError, json_document, path_of, whole_number
 from hil.export import require_new, write_folder
 from hil.report import TRY_OUT_FILE, page_html, trial_page
 
@@ -54,6 +53,6 @@ def try_out(
         )
     place = trial_place(path_of(model), path_of(station) if station else None, robot, load)
     trial = run_trial(place, number, friction_share, progress or (lambda text: None))
-    document = json_bytes(trial.to_dict()).decode()
+    document = json_document(trial.to_dict()).decode()
     write_folder({TRY_OUT_FILE: page_html(trial_page(trial)), "try-out.json": document}, folder)
     return trial
