@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from hil.recording.run_directory import number_of
+from hil.runs.catalogue import FILE, find_runs
 from hil.runs.listing import run_paths
-from hil.runs.view import FILE, find_runs
 
 RUNS, QUICK_RUNS = 2_000, 60
 REPEATS = 3

@@ -16,7 +16,7 @@ from hil.cli.app import app
 from hil.core.errors import DataError, FitError, Rejected
 from hil.recording.recovery import recover
 from hil.recording.run_directory import RESERVE, RunDirectory, reserve
-from hil.runs.summary import list_runs
+from hil.runs.listing import list_runs
 
 SPEC = """
 hil: 1

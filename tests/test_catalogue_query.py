@@ -14,8 +14,8 @@ from typer.testing import CliRunner
 
 from hil.cli.app import app
 from hil.core.errors import SpecError
+from hil.runs.catalogue import find_runs
 from hil.runs.query import parse
-from hil.runs.view import find_runs
 
 pytestmark = pytest.mark.quick
 

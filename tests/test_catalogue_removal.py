@@ -12,8 +12,7 @@ import pytest
 from catalogue_runs import settle, write_run
 
 from hil.core.errors import RecordingError
-from hil.runs.removal import leftovers, remove
-from hil.runs.retention import Decision, Policy, decide
+from hil.runs.retention import Decision, Policy, decide, leftovers, remove
 
 NOW = datetime.fromisoformat("2026-12-01T00:00:00+00:00").timestamp()
 ALL = Policy(older=timedelta(days=1))

@@ -30,10 +30,9 @@ from hil.models.model_registry import Registry
 from hil.models.version import ModelVersion, numbers_in, write_version
 from hil.recording.run_directory import RunDirectory, run_folders
 from hil.report import render_report
-from hil.runs import trained_rows
-from hil.runs.removal import leftovers, remove
-from hil.runs.retention import Policy, decide
-from hil.runs.view import find_runs
+from hil.runs import origins
+from hil.runs.catalogue import find_runs
+from hil.runs.retention import Policy, decide, leftovers, remove
 from hil.workflow.resuming import open_unfinished
 
 NOW = datetime.fromisoformat("2026-12-01T00:00:00+00:00").timestamp()
@@ -165,8 +164,8 @@ class Remembers:
 def rows() -> Iterator[None]:
     """Recordings here have no rows: a run's uid stands for them."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(trained_rows, "load_source", lambda run, **how: run_uid(run))
-        patch.setattr(trained_rows, "_sketch", Remembers)
+        patch.setattr(origins, "load_source", lambda run, **how: run_uid(run))
+        patch.setattr(origins, "_sketch", Remembers)
         yield
 
 

@@ -16,9 +16,9 @@ from catalogue_runs import settle, write_run
 
 from hil.core.lock_file import hold_run
 from hil.recording.run_directory import run_folders
-from hil.runs import view
-from hil.runs.facts import facts_of
-from hil.runs.view import FILE, find_runs
+from hil.runs import catalogue
+from hil.runs.catalogue import FILE, find_runs
+from hil.runs.listing import facts_of
 
 
 @pytest.fixture
@@ -39,7 +39,7 @@ def read(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         names.append(path.name)
         return facts_of(path)
 
-    monkeypatch.setattr(view, "facts_of", counting)
+    monkeypatch.setattr(catalogue, "facts_of", counting)
     return names
 
 
@@ -154,13 +154,13 @@ def test_where_nothing_can_be_written_it_is_made_in_memory(
     if blocked == "the file":
         (runs / FILE / "x").mkdir(parents=True)
     else:
-        monkeypatch.setattr(Path, "write_bytes", _refuse)
+        monkeypatch.setattr("hil.core.files._write_draft", _refuse)
     assert find_runs(runs=runs) == truth(runs)
     assert not (runs / FILE).is_file()
     assert not list(runs.glob(".*.draft"))
 
 
-def _refuse(*_: object) -> int:
+def _refuse(*_: object, **options: object) -> int:
     raise PermissionError(13, "Permission denied")
 
 
@@ -188,7 +188,7 @@ def test_processes_may_ask_at_once(runs: Path) -> None:
     for number in range(10, 60):
         write_run(runs, number)
     ask = (
-        "import sys; from hil.runs.view import find_runs\n"
+        "import sys; from hil.runs.catalogue import find_runs\n"
         "for _ in range(8): print(len(find_runs('robot=ur5', runs=sys.argv[1], rebuild=_ % 2)))"
     )
     asked = [

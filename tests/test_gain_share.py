@@ -9,7 +9,7 @@ from synthetic_motion import arriving, moving, nominal
 from hil.estimators.base import RobotEstimator, estimator
 from hil.estimators.drive_gains import calibrated, gain_lines
 from hil.estimators.rigid_linear import RigidWls
-from hil.evaluation.load_fit import usual_gain_share
+from hil.evaluation.payload import usual_gain_share
 
 pytestmark = pytest.mark.quick
 

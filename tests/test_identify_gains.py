@@ -205,7 +205,7 @@ def moved(data):
 
 
 def test_no_source_is_no_recording() -> None:
-    from hil.evaluation.calibration import gains_of_sources
+    from hil.evaluation.drive_gains import gains_of_sources
 
     with pytest.raises(DataError, match="no recording"):
         gains_of_sources([])

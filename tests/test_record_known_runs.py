@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from hil.core.lock_file import hold_run
-from hil.runs import run_folders as module
-from hil.runs.run_folders import KnownRuns
+from hil.runs import live_runs as module
+from hil.runs.live_runs import KnownRuns
 
 
 def made(root: Path, name: str = "0001-a", started_as: str = "") -> Path:

@@ -22,8 +22,7 @@ from hil.core import lock_file
 from hil.core.errors import DataError, RecordingError
 from hil.core.lock_file import hold_run, is_live, run_holder
 from hil.recording.run_directory import RunDirectory
-from hil.runs.listing import run_listings
-from hil.runs.summary import describe_run
+from hil.runs.listing import describe_run, run_listings
 
 
 def dead_within(run: Path, seconds: float) -> bool:

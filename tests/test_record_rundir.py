@@ -211,10 +211,10 @@ def test_a_draft_of_a_process_that_died_meanwhile_is_not_continued(
 ) -> None:
     real = run_directory.hold
 
-    def after_a_crash(path: Path, content: Any) -> Any:
+    def after_a_crash(path: Path) -> Any:
         monkeypatch.setattr(run_directory, "hold", real)
         subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)], check=False)
-        return real(path, content)
+        return real(path)
 
     monkeypatch.setattr(run_directory, "hold", after_a_crash)
     run = started(tmp_path)

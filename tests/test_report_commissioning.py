@@ -12,8 +12,7 @@ from hil.cli.app import app
 from hil.report import summary_lines
 from hil.report.run_facts import read_facts
 from hil.report.verdict import next_commissioning
-from hil.runs.listing import run_listings
-from hil.runs.summary import next_command
+from hil.runs.listing import next_command, run_listings
 
 
 def commissioned(tmp_path, outcome="completed", station="/lab/my.yaml", **part):

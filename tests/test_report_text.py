@@ -14,7 +14,7 @@ from hil.core import parse_parameters
 from hil.core.errors import DataError
 from hil.core.lock_file import hold_run
 from hil.report import summary_lines
-from hil.runs.summary import list_runs
+from hil.runs.listing import list_runs
 from hil.studies.store import write_study
 
 

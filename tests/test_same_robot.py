@@ -17,7 +17,7 @@ from hil.estimators.base import load_model_file
 from hil.estimators.payload import estimate_payload
 from hil.estimators.rigid_linear import RigidWls
 from hil.evaluation import evaluate
-from hil.evaluation.validation_load import under_load
+from hil.evaluation.validation import under_load
 
 pytestmark = pytest.mark.quick
 

@@ -18,7 +18,7 @@ from hil.core.errors import FitError
 from hil.data.dataset import Dataset
 from hil.estimators.rigid_linear import RigidWls
 from hil.evaluation import evaluate
-from hil.evaluation.validation_load import UnderLoad, under_load
+from hil.evaluation.validation import UnderLoad, under_load
 
 BARE = [Payload()]
 LOAD = OFF_AXIS[1]
@@ -68,18 +68,18 @@ def test_a_correct_declaration_agrees_and_a_turned_tool_is_named() -> None:
 
 
 def test_no_half_is_judged_with_what_it_told_itself(monkeypatch: pytest.MonkeyPatch) -> None:
-    from hil.evaluation import validation_load
+    from hil.evaluation import validation
 
-    real = validation_load.payload_halves
+    real = validation.payload_halves
 
     def spoilt(*of: Any) -> Any:
         first, second = real(*of)
         return replace(first, estimate=replace(first.estimate, payload=Payload())), second
 
-    monkeypatch.setattr(validation_load, "payload_halves", spoilt)
+    monkeypatch.setattr(validation, "payload_halves", spoilt)
     data = loaded()
-    first, _ = validation_load.halves(data)
-    effort = validation_load._by_halves(model(), data)
+    first, _ = validation.halves(data)
+    effort = validation._by_halves(model(), data)
     error = np.abs(data["effort"] - effort)
     # What the first half told is spoilt: only the second, which is predicted with it, suffers.
     assert np.mean(error[~first]) > 3 * np.mean(error[first])
@@ -133,12 +133,12 @@ def test_what_gains_may_explain_is_neither_contradicted_nor_confirmed(
 def test_a_load_that_does_not_show_leaves_the_other_errors(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from hil.evaluation import validation_load
+    from hil.evaluation import validation
 
     def failing(*of: Any) -> Any:
         raise FitError("the load did not settle")
 
-    monkeypatch.setattr(validation_load, "estimate_payload", failing)
+    monkeypatch.setattr(validation, "estimate_payload", failing)
     result = under_load(model(), loaded(), BARE)
     assert result is not None
     assert set(result.rmse) == {"unaware", "declared"}

@@ -17,7 +17,7 @@ from web_parts import dashboard, failing, run_in, seen
 from hil.cli.app import app
 from hil.core.lock_file import hold_run
 from hil.recording.run_directory import RunDirectory
-from hil.runs.view import find_runs
+from hil.runs.catalogue import find_runs
 
 DEEP = '{"a": ' * 900 + "1" + "}" * 900
 WHOLE = ["{}", "[]", '"x"', "1e999", DEEP, ""]
@@ -130,7 +130,7 @@ def test_a_run_that_cannot_be_understood_is_damaged_with_the_reason(
     lab: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     broken = failing(TypeError("odd <b>"))
-    monkeypatch.setattr("hil.runs.facts._told", broken)
+    monkeypatch.setattr("hil.runs.listing._from_documents", broken)
     monkeypatch.setattr("hil.dashboard.run_facts._facts", broken)
     require_all_is_there(lab)
     (entry,) = find_runs(runs=lab / "runs")

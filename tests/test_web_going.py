@@ -16,7 +16,7 @@ from hil.dashboard.going import being_planned, going_on
 from hil.dashboard.resume_pages import way_on
 from hil.dashboard.settings import Settings
 from hil.dashboard.streams import _LiveRuns
-from hil.runs import run_folders as known_runs
+from hil.runs import live_runs as known_runs
 from hil.workflow.background_runs import FOLDER, Started, ticks_of
 
 

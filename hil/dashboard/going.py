@@ -21,7 +21,7 @@ def going_on(settings: Settings, within_s: float = 0.0) -> list[dict[str, Any]]:
 
     Args:
         settings: What is served.
-        within_s: See `hil.runs.run_folders.KnownRuns.live`.
+        within_s: See `hil.runs.live_runs.KnownRuns.live`.
     """
     return [_header(run, settings) for run in live_runs(settings, within_s)]
 

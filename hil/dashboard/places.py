@@ -58,7 +58,7 @@ def live_runs(settings: Settings, within_s: float = 0.0) -> list[Path]:
 
     Args:
         settings: What is served.
-        within_s: See `hil.runs.run_folders.KnownRuns.live`.
+        within_s: See `hil.runs.live_runs.KnownRuns.live`.
     """
     root = settings.runs.resolve()
     live = known_runs(settings.runs).live(within_s)

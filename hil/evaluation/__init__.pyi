@@ -1,5 +1,5 @@
-from .calibration import GainsMethod as GainsMethod
-from .calibration import gains_of_sources as gains_of_sources
+from .drive_gains import GainsMethod as GainsMethod
+from .drive_gains import gains_of_sources as gains_of_sources
 from .evaluation import Errors as Errors
 from .evaluation import Evaluation as Evaluation
 from .evaluation import evaluate as evaluate
@@ -15,9 +15,7 @@ from .fitting import one_serial as one_serial
 from .fitting import usable_part as usable_part
 from .holdout import Parts as Parts
 from .holdout import hold_out as hold_out
-from .load_fit import estimate_payload as estimate_payload
-from .model_judgement import Judged as Judged
-from .model_judgement import judged_model as judged_model
+from .payload import estimate_payload as estimate_payload
 from .run_verdict import FailedFit as FailedFit
 from .run_verdict import VerdictWord as VerdictWord
 from .run_verdict import recording_rows as recording_rows
@@ -27,6 +25,8 @@ from .validation import EVALUATION_FILE as EVALUATION_FILE
 from .validation import require_unseen as require_unseen
 from .validation import seen_share as seen_share
 from .verdict import Criterion as Criterion
+from .verdict import Judged as Judged
 from .verdict import Verdict as Verdict
 from .verdict import VerdictRow as VerdictRow
 from .verdict import judge as judge
+from .verdict import judged_model as judged_model

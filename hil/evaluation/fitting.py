@@ -35,8 +35,8 @@ from hil.evaluation.validation import (
     motion_notes,
     require_unseen,
     serial_notes,
+    under_load,
 )
-from hil.evaluation.validation_load import under_load
 from hil.importers import load_source, serial_of
 from hil.networks import Watch, attach, keeps_checkpoints
 

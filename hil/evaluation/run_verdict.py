@@ -1,14 +1,21 @@
-"""The verdict of a run: its recording and its models apart, and what could not be judged."""
+"""The verdict on a run, `verdict.json`: its recording and its models apart, and what is not judged.
+
+A model that is missing keeps a run from passing, but does not reject it. This module stands apart
+from `hil.evaluation.verdict`, which judges the models, as lists of runs read the verdict of each
+and start without estimators and specs.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from hil.core import DataError, HilError, read_json
-from hil.spec import Accept
+
+if TYPE_CHECKING:
+    from hil.spec import Accept
 
 VerdictWord = Literal["passed", "rejected", "not judged"]
 
@@ -60,13 +67,24 @@ def verdict_document(
         passed = False
     return {
         "passed": passed,
-        "verdict": word(passed),
-        "recording": {"verdict": word(of_recording), "passed": of_recording},
-        "model": {"verdict": word(of_models), "passed": of_models},
+        "verdict": _word(passed),
+        "recording": {"verdict": _word(of_recording), "passed": of_recording},
+        "model": {"verdict": _word(of_models), "passed": of_models},
         "rows": [*models, *recording],
         "not_judged": list(not_judged),
         "problems": [problem.to_dict() for problem in problems],
     }
+
+
+def _passed(rows: Sequence[Mapping[str, Any]]) -> bool | None:
+    return all(row["passed"] for row in rows) if rows else None
+
+
+def _word(passed: bool | None) -> VerdictWord:
+    """Return `passed`, `rejected` or `not judged`."""
+    if passed is None:
+        return "not judged"
+    return "passed" if passed else "rejected"
 
 
 def recording_rows(accept: Accept, counts: Mapping[str, int]) -> list[dict[str, Any]]:
@@ -90,17 +108,6 @@ def recording_rows(accept: Accept, counts: Mapping[str, int]) -> list[dict[str, 
     ]
 
 
-def word(passed: bool | None) -> VerdictWord:
-    """`passed`, `rejected` or `not judged`."""
-    if passed is None:
-        return "not judged"
-    return "passed" if passed else "rejected"
-
-
-def _passed(rows: Sequence[Mapping[str, Any]]) -> bool | None:
-    return all(row["passed"] for row in rows) if rows else None
-
-
 def verdict_word(run: Path) -> VerdictWord:
     """Return `passed`, `rejected` or `not judged`, as `verdict.json` of a run directory says.
 
@@ -112,4 +119,4 @@ def verdict_word(run: Path) -> VerdictWord:
     except DataError:
         document = {}
     passed = document.get("passed")
-    return word(passed if isinstance(passed, bool) else None)
+    return _word(passed if isinstance(passed, bool) else None)

@@ -1,19 +1,40 @@
-"""Which runs are there? A view of the disk that nothing damaged on it can break."""
+"""Lists of runs: which there are, what each says of itself, and which one a name means.
+
+Everything here is a view of the run directories, and a run that is damaged, or a document that is
+missing or odd, breaks no list: it says nothing, or the run is listed as `damaged`.
+
+==================  ==========================================================
+`RunListing`        where a run is and how it ended: one line of `hil runs`
+`entry_of`          the same as JSON, with duration, verdict and studies
+`facts_of`          and all that `hil runs QUERY` can ask (see `hil.runs.query`)
+`describe_run`      all that the documents of one run say (`hil show --json`)
+==================  ==========================================================
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import contextlib
+import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
-from hil.core import DataError, closest, is_live
+import numpy as np
+
+from hil.core import DataError, HilError, closest, is_live, read_json, shell_word
+from hil.estimators import models_below
+from hil.evaluation import verdict_word
 from hil.recording import (
     PARTIAL_SUFFIX,
+    PRUNED,
     RunDirectory,
     RunStatus,
     name_for_path,
+    name_of_attempt,
     number_of,
+    recorded_s,
     run_folders,
 )
 
@@ -72,6 +93,32 @@ def run_paths(runs_root: Path) -> list[Path]:
     ]
 
 
+def listing_of(path: Path) -> RunListing:
+    """The line of one run directory."""
+    status, uid, problem = _state_of(path)
+    return RunListing(
+        path=path,
+        number=number_of(path),
+        date=path.parents[1].name,
+        robot=path.parent.name,
+        status=status,
+        uid=uid,
+        problem=problem,
+    )
+
+
+def _state_of(path: Path) -> tuple[ListedStatus, str, str]:
+    live = is_live(path)
+    try:
+        run = RunDirectory.open(path)
+        return "running" if live else run.status, str(run.start.get("uid", "")), ""
+    except DataError as error:
+        # A run that has just begun has not written its start document yet.
+        return ("running", "", "") if live else ("damaged", "", error.message)
+    except OSError as error:
+        return "damaged", "", str(error)
+
+
 def find_run(named: str, runs_root: Path) -> Path:
     """The run directory somebody means.
 
@@ -103,15 +150,6 @@ def find_run(named: str, runs_root: Path) -> Path:
     raise DataError(f"there is no run {named}, here or under {runs_root}", hint=hint)
 
 
-def _newest(named: str, folders: Iterable[Path]) -> Path | None:
-    """The newest run of an experiment of that name; `last` stands for any."""
-    own = name_for_path(named)
-    of_it = [run for run in folders if number_of(run)]
-    if named != LAST:
-        of_it = [run for run in of_it if run.name.partition("-")[2] == own]
-    return max(of_it, key=number_of, default=None)
-
-
 def _no_run(file: Path) -> DataError:
     """What to do with a file that was given where a run directory is needed."""
     if not file.name.endswith((".mcap", f".mcap{PARTIAL_SUFFIX}")):
@@ -124,27 +162,231 @@ def _no_run(file: Path) -> DataError:
     return DataError(f"{file} is a recording, not a run directory", hint=hint)
 
 
-def listing_of(path: Path) -> RunListing:
-    """The line of one run directory."""
-    status, uid, problem = _state_of(path)
-    return RunListing(
-        path=path,
-        number=number_of(path),
-        date=path.parents[1].name,
-        robot=path.parent.name,
-        status=status,
-        uid=uid,
-        problem=problem,
-    )
+def _newest(named: str, folders: Iterable[Path]) -> Path | None:
+    """The newest run of an experiment of that name; `last` stands for any."""
+    own = name_for_path(named)
+    of_it = [run for run in folders if number_of(run)]
+    if named != LAST:
+        of_it = [run for run in of_it if run.name.partition("-")[2] == own]
+    return max(of_it, key=number_of, default=None)
 
 
-def _state_of(path: Path) -> tuple[ListedStatus, str, str]:
-    live = is_live(path)
+def list_runs(runs: str | Path = "runs") -> list[dict[str, Any]]:
+    """One entry per run directory, damaged and interrupted ones included, oldest first.
+
+    Keys: `run`, `status`, `robot`, `date`, `uid`, `duration_s`, `verdict`, `studies`, `problem`,
+    `next` (the command that brings a run to its end; empty where nothing is left to do).
+    """
+    return [
+        entry_of(listing) | {"next": next_command(listing)} for listing in run_listings(Path(runs))
+    ]
+
+
+def next_command(listing: RunListing) -> str:
+    """Return the command that completes a run; empty if nothing is left to do."""
+    run = RunDirectory(listing.path)
+    if listing.status in ("running", "damaged") or run.is_reported:
+        return ""
+    start, path = _document(run.path / "start.json") or {}, shell_word(run.path)
+    has = [(run.path / name).exists() for name in ("spec.yaml", "plan.json", PRUNED)]
+    if "replayed" in start:
+        return ""
+    if "commissioning" in start and (run.path / "report.html").is_file():
+        from hil.report import next_commissioning, read_facts
+
+        with contextlib.suppress(HilError):
+            if listing.status != "completed":
+                return next_commissioning(read_facts(run.path))
+        return ""
+    if not start.keys() & {"passive", "commissioning"} and has == [True, True, False]:
+        return f"hil resume {path}"
+    return "" if (run.path / "report.html").is_file() else f"hil report {path}"
+
+
+def _document(path: Path) -> dict[str, Any] | None:
+    """A view never fails because one file is missing or damaged: that file just says nothing."""
     try:
-        run = RunDirectory.open(path)
-        return "running" if live else run.status, str(run.start.get("uid", "")), ""
-    except DataError as error:
-        # A run that has just begun has not written its start document yet.
-        return ("running", "", "") if live else ("damaged", "", error.message)
-    except OSError as error:
-        return "damaged", "", str(error)
+        return read_json(path) if path.is_file() else None
+    except DataError:
+        return None
+
+
+_STUDY_FILES = "study/*/study.json"
+
+
+def describe_run(run: str | Path) -> dict[str, Any]:
+    """Everything the JSON files of a run directory say.
+
+    Raises:
+        DataError: It is no run directory, or was written by a newer version.
+    """
+    directory = RunDirectory.open(Path(run))
+    status = "running" if is_live(directory.path) else directory.status
+    out: dict[str, Any] = {"run": str(directory.path), "status": status}
+    out |= {"start": directory.start, "stop": directory.stop}
+    out["resumed"] = [
+        _document(directory.path / name_of_attempt("resume.json", attempt))
+        for attempt in range(1, directory.attempts)
+    ]
+    out["verdict"] = _document(directory.path / "verdict.json")
+    out["fits"] = {
+        file.parent.name: _document(file)
+        for file in sorted(directory.path.glob("fit/*/evaluation.json"))
+    }
+    out["models"] = [str(folder) for folder in models_below(directory.path)]
+    out["studies"] = {
+        file.parent.name: _study(file) for file in sorted(directory.path.glob(_STUDY_FILES))
+    }
+    page = directory.path / "report.html"
+    return out | {"report": str(page) if page.is_file() else None}
+
+
+def _study(file: Path) -> dict[str, Any] | None:
+    """What a study comes to; its curves are in the file."""
+    document = _document(file)
+    keys = ("study", "title", "summary", "parameters", "seconds", "warnings")
+    return document and {key: document.get(key) for key in keys}
+
+
+def _number_in(document: Mapping[str, Any], key: str) -> float | None:
+    """A number to calculate and to compare with; None where anything else stands there."""
+    value = document.get(key)
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        return None
+    return value if -(2**63) < value < 2**63 else None  # so NaN is none, too
+
+
+def entry_of(listing: RunListing) -> dict[str, Any]:
+    """What `list_runs` says of one run."""
+    stop: dict[str, Any] = {}
+    with contextlib.suppress(DataError):
+        stop = RunDirectory(listing.path).stop or {}
+    return {
+        "run": str(listing.path),
+        "status": listing.status,
+        "robot": listing.robot,
+        "date": listing.date,
+        "uid": listing.uid,
+        "duration_s": _number_in(stop, "device_s") if "device_s" in stop else _recorded_s(listing),
+        "verdict": verdict_word(listing.path),
+        "studies": sorted({_method_of(file) for file in listing.path.glob(_STUDY_FILES)}),
+        "problem": listing.problem,
+    }
+
+
+def _recorded_s(listing: RunListing) -> float | None:
+    """What a run without stop document recorded so far; None where nobody can say."""
+    if listing.status not in ("interrupted", "running"):
+        return None
+    with contextlib.suppress(OSError):
+        return recorded_s(RunDirectory(listing.path).recordings)
+    return None
+
+
+def _method_of(file: Path) -> str:
+    """Return the study or estimator of a document in a folder `NAME-DIGEST`."""
+    return file.parent.name.rpartition("-")[0]
+
+
+def facts_of(path: Path) -> dict[str, Any]:
+    """An entry of `hil runs QUERY`: what `hil runs` says of a run, and what can be asked.
+
+    Keys beside those of `hil.list_runs`: `number`, `name`, `description`, `started` (ISO 8601),
+    `arm`, `serial`, `operator`, `reason`, `samples`, `gaps`, `loads_kg`, `occasion`, and `fits`:
+    `{estimator, unit, rmse}` each, the mean of the joints' `rmse_raw` on what was held out.
+
+    Args:
+        path: The run directory; it may be damaged.
+    """
+    listing = listing_of(path)
+    entry = entry_of(listing) | {"number": listing.number}
+    try:
+        return entry | _from_documents(path)
+    except FileNotFoundError:
+        raise
+    except Exception as error:  # one run that says something odd keeps no other from the list
+        problem = f"what it says cannot be read: {type(error).__name__}: {error}"
+        return entry | _NOTHING | {"status": "damaged", "problem": problem}
+
+
+_NOTHING: dict[str, Any] = {
+    **dict.fromkeys(
+        ("name", "description", "started", "arm", "serial", "operator", "reason", "occasion"), ""
+    ),
+    **dict.fromkeys(("samples", "gaps")),
+    "loads_kg": [],
+    "fits": [],
+}
+
+
+def _from_documents(path: Path) -> dict[str, Any]:
+    start, stop = _document(path / "start.json") or {}, _last_stop(path)
+    robot = _mapping(start.get("robot"))
+    return {
+        "name": _text(start.get("experiment")),
+        "description": _description(path / "spec.yaml"),
+        "started": _text(start.get("started")),
+        "arm": _text(robot.get("model")),
+        "serial": _text(_mapping(robot.get("identity")).get("serial")),
+        "operator": _text(start.get("operator")),
+        "reason": _text(stop.get("reason")),
+        "samples": _number_in(stop, "samples"),
+        "gaps": _number_in(stop, "gaps"),
+        "loads_kg": _loads(start.get("loads")),
+        "occasion": _text(start.get("occasion")),
+        "fits": [_fit(file) for file in sorted(path.glob("fit/*/evaluation.json"))],
+    }
+
+
+def _last_stop(path: Path) -> dict[str, Any]:
+    ends = sorted(path.glob("stop*.json"), key=lambda file: (len(file.name), file.name))
+    return _document(ends[-1]) or {} if ends else {}
+
+
+def _mapping(value: Any) -> dict[str, Any]:
+    return value if isinstance(value, dict) else {}
+
+
+def _text(value: Any) -> str:
+    return value if isinstance(value, str) else ""
+
+
+LARGEST_SPEC = 262_144
+"""Bytes; a longer spec is not searched for a description."""
+
+
+def _description(spec: Path) -> str:
+    from hil.core import look_into  # a list of runs starts without PyYAML
+
+    with contextlib.suppress(OSError, ValueError):
+        if spec.stat().st_size <= LARGEST_SPEC:
+            return _text(_mapping(look_into(spec.read_bytes())).get("description"))
+    return ""
+
+
+def _loads(value: Any) -> list[float]:
+    """Masses in the order of the spec [kg]."""
+    loads = value if isinstance(value, list) else []
+    masses = (_number_in(_mapping(load), "mass_kg") for load in loads)
+    return [mass for mass in masses if mass is not None]
+
+
+def _fit(file: Path) -> dict[str, Any]:
+    document = _document(file) or {}
+    held_out = _mapping(document.get("held_out"))
+    errors = _mapping(held_out.get("total")).get("rmse_raw")
+    rmse = None
+    with contextlib.suppress(TypeError, ValueError, OverflowError):
+        values = np.asarray(errors, dtype=np.float64)
+        mean = float(np.mean(values)) if values.size else math.nan
+        rmse = mean if math.isfinite(mean) else None
+    estimator = _text(document.get("estimator")) or _method_of(file)
+    return {"estimator": estimator, "unit": _text(held_out.get("unit")), "rmse": rmse}
+
+
+def started_s(facts: dict[str, Any]) -> float | None:
+    """When a run was started [s, Unix]; of one that does not say the day of its folder."""
+    for told in (facts["started"], facts["date"]):
+        with contextlib.suppress(ValueError, OverflowError, OSError):
+            return datetime.fromisoformat(told).timestamp()
+    return None

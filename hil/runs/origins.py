@@ -1,24 +1,27 @@
 """Which runs registered models came from: what no policy may take away.
 
 A version's facts name its run, its training sources and the digests of their recordings. Whatever
-of them fits a run keeps it; where they say too little, every run that may be meant is kept.
+of them fits a run keeps it (`Origins.why`); where they say too little, every run that may be meant
+is kept. A run that was renamed leaves its models with a name that leads nowhere: the rows that a
+model remembers of its training data (`hil.data.fingerprints`) still find it (`why_by_rows`).
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
+from functools import cache
 from pathlib import Path
 from typing import Any
 
-from hil.core import DataError, RegistryError, read_json, sha256_of
+from hil.core import DataError, HilError, RegistryError, read_json, sha256_of
+from hil.data import Sketch
+from hil.estimators import load_model_file
+from hil.importers import load_source
 from hil.models import ModelVersion, Registry, probes_of
 from hil.recording import PARTIAL_SUFFIX, RunDirectory
-
-_BELOW = 3
-"""Parts of a run's path that stay when all runs are moved together: day, robot, directory."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +41,10 @@ class Lost:
     name: str
     model: Path
     why: str
+
+
+_BELOW = 3
+"""Parts of a run's path that stay when all runs are moved together: day, robot, directory."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +72,7 @@ class Origins:
 
         Args:
             run: Its directory.
-            facts: See `hil.runs.facts.facts_of`.
+            facts: See `hil.runs.listing.facts_of`.
 
         Raises:
             DataError: Its documents or recordings cannot be read.
@@ -104,6 +111,34 @@ class Origins:
             why = f"it may be what {version.name} {version.label} was fitted to ({told})"
             serial = str(facts.get("serial") or "")
             self.vague.append(Vague(unknown, serial, version.registered, why))
+
+
+def _may_be(one: Vague, facts: Mapping[str, Any]) -> bool:
+    """Whether a run can be what a version was fitted to: of that arm, and begun before."""
+    if one.serial and facts["serial"] and one.serial != facts["serial"]:
+        return False
+    try:
+        begun, registered = (datetime.fromisoformat(x) for x in (facts["started"], one.registered))
+        return begun <= registered
+    except (ValueError, TypeError):
+        return True
+
+
+def _digests(run: Path, recordings: Iterable[Path]) -> set[str]:
+    """SHA-256 of a run's recordings: as its stop documents have them, else of the files."""
+    noted: dict[str, str] = {}
+    for document in run.glob("stop*.json"):
+        told = read_json(document).get("sha256")
+        noted |= told if isinstance(told, dict) else {}
+    found = {digest for name, digest in noted.items() if name.endswith(".mcap")}
+    try:
+        missing = [path for path in recordings if path.relative_to(run).as_posix() not in noted]
+        return found | {sha256_of(path) for path in missing}
+    except OSError as error:
+        raise DataError(
+            f"cannot read {error.filename}: {error.strerror or error}",
+            hint="see whether it exists and may be read",
+        ) from error
 
 
 def _without_digest(files: Iterable[str], digests: Iterable[str]) -> frozenset[str]:
@@ -151,29 +186,42 @@ def _collect(root: Path, found: Origins) -> None:
                 found.digests.setdefault(probe.uid, why)
 
 
-def _may_be(one: Vague, facts: Mapping[str, Any]) -> bool:
-    """Whether a run can be what a version was fitted to: of that arm, and begun before."""
-    if one.serial and facts["serial"] and one.serial != facts["serial"]:
-        return False
-    try:
-        begun, registered = (datetime.fromisoformat(x) for x in (facts["started"], one.registered))
-        return begun <= registered
-    except (ValueError, TypeError):
-        return True
+def why_by_rows(lost: Iterable[Lost]) -> Callable[[Path], str]:
+    """A function of a run that says why it has to stay, empty where none of its rows is known.
+
+    Args:
+        lost: Versions whose training sources are not found by name.
+
+    Raises:
+        RegistryError: (the function) A version cannot be read.
+    """
+    versions = list(lost)
+    sketch = cache(_sketch)
+
+    def why(run: Path) -> str:
+        asked = [(one, rows) for one in versions if (rows := sketch(one.model)) is not None]
+        if not asked:
+            return ""
+        try:
+            data = load_source(run, any_arm=True)
+        except HilError as error:
+            return f"it cannot be told whether a model was fitted to it: {error.message}"
+        return next((one.why for one, rows in asked if rows.share_known(data) > 0.0), "")
+
+    return why
 
 
-def _digests(run: Path, recordings: Iterable[Path]) -> set[str]:
-    """SHA-256 of a run's recordings: as its stop documents have them, else of the files."""
-    noted: dict[str, str] = {}
-    for document in run.glob("stop*.json"):
-        told = read_json(document).get("sha256")
-        noted |= told if isinstance(told, dict) else {}
-    found = {digest for name, digest in noted.items() if name.endswith(".mcap")}
+def _sketch(model: Path) -> Sketch | None:
+    """What a model remembers; None of one that remembers nothing.
+
+    Raises:
+        RegistryError: It cannot be read.
+    """
     try:
-        missing = [path for path in recordings if path.relative_to(run).as_posix() not in noted]
-        return found | {sha256_of(path) for path in missing}
-    except OSError as error:
-        raise DataError(
-            f"cannot read {error.filename}: {error.strerror or error}",
-            hint="see whether it exists and may be read",
+        training = load_model_file(model).training_
+    except HilError as error:
+        raise RegistryError(
+            f"{model} does not say what it was fitted to: {error.message}",
+            hint="restore the registry from a backup; nothing is deleted before",
         ) from error
+    return training.rows if training is not None and len(training.rows.smallest) else None

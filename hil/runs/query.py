@@ -66,7 +66,7 @@ class _Term:
     value: str
 
 
-def plain(text: str) -> str:
+def sqlite_text(text: str) -> str:
     """Text that SQLite takes: names of files, and what is typed of them, may be of any bytes."""
     return text.encode("utf-8", "replace").decode()
 
@@ -84,7 +84,7 @@ def parse(terms: Iterable[str], now: float | None = None) -> Query:
     now = time.time() if now is None else now
     words: list[str] = []
     read: list[_Term] = []
-    for text in map(plain, terms):
+    for text in map(sqlite_text, terms):
         found = _TERM.fullmatch(text.strip())
         if found is None:
             words.append(_word(text))

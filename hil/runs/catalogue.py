@@ -1,9 +1,10 @@
 """The catalogue as SQLite: `RUNS/.catalogue.sqlite`, a view of run directories and never the truth.
 
-Every look at it compares the directories with what it holds and reads those that have changed. The
-file is taken into memory whole and replaced whole: processes need no locks, which network file
-systems lack, a kill leaves the file before, and where nothing can be written nothing is. A file
-that is damaged or of another version is made anew.
+Every look at it compares the directories with what it holds and reads those that have changed; a
+directory has changed when a name, time or size in it has (`stamp_of`). The file is taken into
+memory whole and replaced whole: processes need no locks, which network file systems lack, a kill
+leaves the file before, and where nothing can be written nothing is. A file that is damaged or of
+another version is made anew.
 """
 
 from __future__ import annotations
@@ -12,23 +13,23 @@ import contextlib
 import json
 import os
 import sqlite3
-from collections.abc import Mapping
+import time
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from hil.core import RecordingError, write_replacing
-from hil.runs.facts import facts_of, started_s
-from hil.runs.listing import run_paths
-from hil.runs.query import Query, parse, plain
-from hil.runs.stamp import ALWAYS_READ, stamp_of
+from hil.core import LOCK, RecordingError, write_replacing
+from hil.runs.listing import facts_of, run_paths, started_s
+from hil.runs.query import Query, parse, sqlite_text
 
 FILE = ".catalogue.sqlite"
+
 VERSION = 2
 """Raised whenever a column or an entry changes: files of other versions are made anew."""
 
+_WORDS = ("name", "description", "operator")
 _TEXTS = ("name", "robot", "arm", "serial", "operator", "status", "verdict", "occasion", "uid")
 _NUMBERS = ("number", "started", "duration", "samples", "gaps", "load")
-_WORDS = ("name", "description", "operator")
 _COLUMNS = ("path", "stamp", "entry", "words", "run", *_TEXTS, *_NUMBERS)
 _TABLES = (
     f"CREATE TABLE runs ({', '.join(_COLUMNS)}, PRIMARY KEY (path))",
@@ -51,7 +52,7 @@ def find_runs(
         rebuild: Read every directory again.
 
     Returns:
-        One entry per run, see `hil.runs.facts.facts_of`.
+        One entry per run, see `hil.runs.listing.facts_of`.
 
     Raises:
         SpecError: A term cannot be understood.
@@ -66,6 +67,11 @@ def find_runs(
             found = _asked(view, query)
     entries = [entry | {"run": str(paths[path])} for path, entry in found]
     return sorted(entries, key=lambda one: (one["number"], Path(one["run"])))
+
+
+def _relative(path: Path, root: Path) -> str:
+    """Where a run is below the folder of runs, as ASCII whatever bytes its name has."""
+    return json.dumps(os.fspath(path.relative_to(root)))
 
 
 def _kept(
@@ -85,21 +91,9 @@ def _kept(
             return None
 
 
-def _new() -> sqlite3.Connection:
-    view = sqlite3.connect(":memory:", isolation_level=None)
-    for statement in _TABLES:
-        view.execute(statement)
-    return view
-
-
 def _only(view: sqlite3.Connection, statement: str) -> Any:
     (value,) = view.execute(statement).fetchone()
     return value
-
-
-def _asked(view: sqlite3.Connection, query: Query) -> list[tuple[str, dict[str, Any]]]:
-    rows = view.execute(query.select, query.values)
-    return [(path, json.loads(entry)) for path, entry in rows]
 
 
 def _bring_up_to_date(view: sqlite3.Connection, root: Path, paths: Mapping[str, Path]) -> None:
@@ -127,7 +121,7 @@ def _read(view: sqlite3.Connection, path: str, run: Path, stamp: str) -> bool:
         return False  # deleted meanwhile
     lasts = facts["status"] not in ("running", "interrupted", "damaged")
     stamp = stamp if lasts else ALWAYS_READ
-    told = facts | {
+    row = facts | {
         "path": path,
         "stamp": stamp,
         "entry": json.dumps(facts | {"run": ""}),
@@ -137,15 +131,15 @@ def _read(view: sqlite3.Connection, path: str, run: Path, stamp: str) -> bool:
         "duration": facts["duration_s"],
         "load": max(facts["loads_kg"], default=None),
     }
-    view.execute(_ADD, [_plain(told[column]) for column in _COLUMNS])
+    view.execute(_ADD, [_sqlite_value(row[column]) for column in _COLUMNS])
     for fit in facts["fits"]:
-        row = (path, _plain(fit["estimator"]), fit["rmse"])
-        view.execute("INSERT INTO fits VALUES (?, ?, ?)", row)
+        fitted = (path, _sqlite_value(fit["estimator"]), fit["rmse"])
+        view.execute("INSERT INTO fits VALUES (?, ?, ?)", fitted)
     return stamp != ALWAYS_READ
 
 
-def _plain(value: Any) -> Any:
-    return plain(value) if isinstance(value, str) else value
+def _sqlite_value(value: Any) -> Any:
+    return sqlite_text(value) if isinstance(value, str) else value
 
 
 def _keep(view: sqlite3.Connection, root: Path) -> None:
@@ -153,6 +147,70 @@ def _keep(view: sqlite3.Connection, root: Path) -> None:
         write_replacing(root / FILE, view.serialize())
 
 
-def _relative(path: Path, root: Path) -> str:
-    """Where a run is below the folder of runs, as ASCII whatever bytes its name has."""
-    return json.dumps(os.fspath(path.relative_to(root)))
+def _asked(view: sqlite3.Connection, query: Query) -> list[tuple[str, dict[str, Any]]]:
+    rows = view.execute(query.select, query.values)
+    return [(path, json.loads(entry)) for path, entry in rows]
+
+
+def _new() -> sqlite3.Connection:
+    view = sqlite3.connect(":memory:", isolation_level=None)
+    for statement in _TABLES:
+        view.execute(statement)
+    return view
+
+
+ALWAYS_READ = ""
+"""Stamp of a run that has to be read again whatever its files look like."""
+
+SETTLED_S = 2.0
+"""What was changed less long ago may change again within the same tick of a clock [s]."""
+
+
+def stamp_of(run: Path) -> str:
+    """A text that changes whenever what the catalogue says of a run may have changed.
+
+    `ALWAYS_READ` where that cannot be told: of a run that was changed a moment ago (as one that a
+    process holds: it touches its lock), and of one that cannot be looked into.
+    """
+    try:
+        seen = sorted(_seen(run))
+    except OSError:
+        return ALWAYS_READ
+    newest = max((changed for _, changed, _ in seen), default=0)
+    if newest > time.time_ns() - int(SETTLED_S * 1e9):
+        return ALWAYS_READ
+    return ";".join(f"{name}:{changed}:{size}" for name, changed, size in seen)
+
+
+_FOLDERS = ("fit", "study")
+_PARTS = ("evaluation.json", "model.json", "study.json")
+
+
+def _seen(run: Path) -> Iterator[tuple[str, int, int]]:
+    """Name, time of change [ns] and size of whatever tells something about a run."""
+    home = os.fspath(run)  # there are thousands: paths as text are several times quicker
+    yield _look("", home)
+    with os.scandir(home) as entries:
+        inside = [entry for entry in entries if entry.name[0] != "." or entry.name == LOCK]
+    for entry in inside:
+        status = entry.stat()
+        yield entry.name, status.st_mtime_ns, 0 if entry.is_dir() else status.st_size
+        if entry.name in _FOLDERS and entry.is_dir():
+            yield from _below(entry.name, entry.path)
+
+
+def _below(name: str, folder: str) -> Iterator[tuple[str, int, int]]:
+    with os.scandir(folder) as entries:
+        inside = [entry for entry in entries if entry.is_dir()]
+    for entry in inside:
+        yield _look(f"{name}/{entry.name}", entry.path)
+        for part in _PARTS:
+            try:
+                yield _look(f"{name}/{entry.name}/{part}", f"{entry.path}/{part}")
+            except FileNotFoundError:
+                continue
+
+
+def _look(name: str, path: str) -> tuple[str, int, int]:
+    status = os.stat(path)
+    return name, status.st_mtime_ns, status.st_size

@@ -1,4 +1,4 @@
-"""The load of recordings: a stored model and sources in, the load out."""
+"""The payload of recordings: a stored model and sources in, the payload out."""
 
 from __future__ import annotations
 
@@ -87,11 +87,10 @@ def estimate_payload(
     return replace(found, notes=notes, other_arm="; ".join(dict.fromkeys(others)))
 
 
-def usual_gain_share(model: RobotEstimator) -> float:
-    """Standard deviation of a model's drive gains [share of them], by where they come from."""
-    if model.effort_kind_ == "torque":
-        return 0.0
-    return CALIBRATED_SHARE if calibrated(model.gains_source_) else GAIN_SHARE
+def _at_rest(model: RobotEstimator, parts: Sequence[Dataset]) -> bool:
+    """Whether a load is to be told by its weight alone."""
+    moving = any(condition.kind == "trajectory" for part in parts for condition in part.conditions)
+    return "dwell" in model.series_kinds[0] or not moving
 
 
 def _require_fitting_options(at_rest: bool, friction: str, bare: Sequence[Path]) -> None:
@@ -130,12 +129,6 @@ def _tare(sources: Sequence[Path], bare: Sequence[Path]) -> Dataset:
     return Dataset.concatenate(parts)
 
 
-def _at_rest(model: RobotEstimator, parts: Sequence[Dataset]) -> bool:
-    """Whether a load is to be told by its weight alone."""
-    moving = any(condition.kind == "trajectory" for part in parts for condition in part.conditions)
-    return "dwell" in model.series_kinds[0] or not moving
-
-
 def _notes(model: RobotEstimator, data: Dataset, gain_share: float | None) -> Iterator[str]:
     if data.effort_kind != "current":
         return
@@ -151,3 +144,10 @@ def _notes(model: RobotEstimator, data: Dataset, gain_share: float | None) -> It
             "the model's drive gains count, not those the recording declares: "
             f"{model.gains_source_ or 'nobody said where they come from'}"
         )
+
+
+def usual_gain_share(model: RobotEstimator) -> float:
+    """Standard deviation of a model's drive gains [share of them], by where they come from."""
+    if model.effort_kind_ == "torque":
+        return 0.0
+    return CALIBRATED_SHARE if calibrated(model.gains_source_) else GAIN_SHARE

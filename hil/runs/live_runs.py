@@ -1,4 +1,4 @@
-"""The runs below a folder, remembered from look to look: one costs what has changed since."""
+"""Which runs are live below a folder, asked many times a second: a look costs what has changed."""
 
 from __future__ import annotations
 
@@ -14,15 +14,6 @@ from hil.recording import folders_in
 
 SETTLED_NS = 2 * 10**9
 """A folder that was changed more lately may have been changed once more at the same time stamp."""
-
-
-@dataclass(slots=True)
-class _Folder:
-    """What was in a folder when it was last changed."""
-
-    changed: int
-    settled: bool
-    folders: list[Path]
 
 
 class KnownRuns:
@@ -103,6 +94,15 @@ class KnownRuns:
                 return ""
             self._started[run] = name
         return name
+
+
+@dataclass(slots=True)
+class _Folder:
+    """What was in a folder when it was last changed."""
+
+    changed: int
+    settled: bool
+    folders: list[Path]
 
 
 def _changed(folder: Path) -> tuple[int, bool]:
