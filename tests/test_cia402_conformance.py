@@ -13,8 +13,7 @@ from can_mock import mock_can
 from cia402_robot import BusEar, options
 
 from hil.robot import Robot
-from hil.testing.bench import Bench
-from hil.testing.conformance import robot_conformance
+from hil.testing.driver_conformance import Bench, robot_conformance
 from hil_drivers.cia402.robot import Cia402Robot
 
 pytestmark = [pytest.mark.wire, pytest.mark.timeout(240)]

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from hil.testing.can_bus import CanBus
+from hil.testing.mocks import CanBus
 from hil_mock_robot.cia402.faults import CanFault
 from hil_mock_robot.cia402.mock import TELL, CanRequests, parser_of
 

@@ -10,9 +10,7 @@ from pathlib import Path
 import pytest
 
 from hil.testing import plugin
-from hil.testing.can_bus import CanBus
-from hil.testing.embedded import MockRobot
-from hil.testing.mock_ur_controller import UrController
+from hil.testing.mocks import CanBus, MockRobot, UrController
 
 DOCS = Path(__file__).parents[1] / "docs"
 HOW_TO = (DOCS / "how-to" / "test-your-code.md").read_text("utf-8")

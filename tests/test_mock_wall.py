@@ -14,7 +14,7 @@ from mock_motions import ASIDE, UPRIGHT, move, play
 
 from hil.core.errors import RobotConnectionError, RobotError, RobotFault, RobotTimeout
 from hil.robot import Robot, Status
-from hil.testing.conformance import robot_conformance
+from hil.testing.driver_conformance import robot_conformance
 from hil_mock_robot.embedded.robot import MockRobot
 from hil_mock_robot.server.journal import read_journal
 

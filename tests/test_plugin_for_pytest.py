@@ -14,9 +14,9 @@ from kinematic_robot import KinematicRobot
 from hil.core import plugins
 from hil.core.errors import RobotFault, RobotTimeout, SpecError
 from hil.robot import Robot, Status
-from hil.testing.conformance import Conformance, MakeRobot, check_names
 from hil.testing.contract_tests import RobotConformance
-from hil.testing.embedded import MockRobot
+from hil.testing.driver_conformance import Conformance, MakeRobot, check_names
+from hil.testing.mocks import MockRobot
 
 TESTS = Path(__file__).parent
 

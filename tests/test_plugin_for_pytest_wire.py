@@ -14,8 +14,7 @@ import canopen
 import pytest
 
 from hil.core.errors import CommandRefused, RobotConnectionError, RobotTimeout
-from hil.testing.can_bus import CanBus
-from hil.testing.mock_ur_controller import UrController, free_address, ur_controller
+from hil.testing.mocks import CanBus, UrController, free_address, ur_controller
 
 pytestmark = pytest.mark.wire
 
@@ -65,7 +64,7 @@ def test_what_a_mock_says_against_its_options_is_told(
 
 DIES = """
 import time
-from hil.testing.mock_ur_controller import ur_controller
+from hil.testing.mocks import ur_controller
 with ur_controller() as running:
     print(running.process.pid, flush=True)
     time.sleep(60)

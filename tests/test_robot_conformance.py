@@ -17,11 +17,17 @@ from hil.core.errors import CommandRefused, RobotFault
 from hil.core.typing import StructArray
 from hil.robot import Capabilities, Limits, Robot, Segment, Status
 from hil.robot.subprocess_robot import RobotProcess
-from hil.testing.bench import Bench
-from hil.testing.conformance import NotConforming, robot_conformance
-from hil.testing.robot_checks import BEFORE_AND_AFTER, BENCH, CONNECTED, FAULTY
-from hil.testing.stop_checks import a_fault_surfaces_in_the_next_read
-from hil.testing.unit_checks import rows_are_in_the_units_they_say
+from hil.testing.driver_conformance import (
+    BEFORE_AND_AFTER,
+    BENCH,
+    CONNECTED,
+    FAULTY,
+    Bench,
+    NotConforming,
+    a_fault_surfaces_in_the_next_read,
+    robot_conformance,
+    rows_are_in_the_units_they_say,
+)
 from hil_mock_robot.embedded.robot import MockRobot
 
 
@@ -376,5 +382,5 @@ def test_a_check_can_be_left_out() -> None:
 
 
 def test_the_checks_need_no_pytest() -> None:
-    code = "import sys, hil.testing.conformance; assert 'pytest' not in sys.modules"
+    code = "import sys, hil.testing.driver_conformance; assert 'pytest' not in sys.modules"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0

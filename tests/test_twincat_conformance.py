@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 from plc_mock import MockPlc, mock_plc
 
-from hil.testing.bench import Bench
-from hil.testing.conformance import robot_conformance
+from hil.testing.driver_conformance import Bench, robot_conformance
 from hil_drivers.twincat.robot import TwinCatRobot
 
 pytestmark = [pytest.mark.wire, pytest.mark.timeout(240)]

@@ -9,9 +9,8 @@ from collections.abc import Callable
 
 import pytest
 
-from hil.testing.bench import Bench
-from hil.testing.conformance import Conformance
-from hil.testing.mock_ur_controller import UrController
+from hil.testing.driver_conformance import Bench, Conformance
+from hil.testing.mocks import UrController
 from hil_drivers.ur.options import Options
 from hil_drivers.ur.robot import UrRobot
 

@@ -1,5 +1,12 @@
-from .bench import Bench as Bench
-from .conformance import robot_conformance as robot_conformance
 from .contract_tests import RobotConformance as RobotConformance
-from .mock_ur_controller import ur_controller as ur_controller
+from .driver_conformance import Bench as Bench
+from .driver_conformance import Conformance as Conformance
+from .driver_conformance import NotConforming as NotConforming
+from .driver_conformance import robot_conformance as robot_conformance
+from .mocks import CanBus as CanBus
+from .mocks import MockRobot as MockRobot
+from .mocks import UrController as UrController
+from .mocks import can_bus as can_bus
+from .mocks import mock_robot as mock_robot
+from .mocks import ur_controller as ur_controller
 from .new_driver import driver_files as driver_files

@@ -1,6 +1,6 @@
 """The contract of a robot as a class of tests, one for each check.
 
->>> from hil.testing.contract_tests import RobotConformance
+>>> from hil.testing import RobotConformance
 >>> class TestMyArm(RobotConformance):
 ...     @pytest.fixture
 ...     def make_robot(self):
@@ -14,8 +14,13 @@ from typing import ClassVar
 
 import pytest
 
-from hil.testing.bench import Bench
-from hil.testing.conformance import MakeRobot, NotConforming, check_names, robot_conformance
+from hil.testing.driver_conformance import (
+    Bench,
+    MakeRobot,
+    NotConforming,
+    check_names,
+    robot_conformance,
+)
 
 
 class RobotConformance:

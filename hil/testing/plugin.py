@@ -1,22 +1,18 @@
 """The pytest plug-in `hil`: mock robots for other people's tests (entry point group `pytest11`).
 
 Everybody's pytest loads this where hil is installed: it imports nothing else until a fixture is
-used, and changes nothing by itself.
+used (names of the face `hil.testing` are loaded when asked for), and changes nothing by itself.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import pytest
 
-if TYPE_CHECKING:
-    from hil.testing.can_bus import CanBus
-    from hil.testing.conformance import Conformance
-    from hil.testing.embedded import MockRobot
-    from hil.testing.mock_ur_controller import UrController
+from hil import testing
 
 T = TypeVar("T")
 
@@ -34,60 +30,54 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 @pytest.fixture
-def mock_robot_factory() -> Iterator[Callable[..., MockRobot]]:
+def mock_robot_factory() -> Iterator[Callable[..., testing.MockRobot]]:
     """Makes embedded mock robots, each connected; closed after the test."""
-    from hil.testing.embedded import mock_robot
-
-    with _factory(mock_robot) as make:
+    with _factory(testing.mock_robot) as make:
         yield make
 
 
 @pytest.fixture
-def ur_controller_factory() -> Iterator[Callable[..., UrController]]:
+def ur_controller_factory() -> Iterator[Callable[..., testing.UrController]]:
     """Starts mock UR controllers, each on its own address; ended after the test."""
-    from hil.testing.mock_ur_controller import ur_controller
-
-    with _factory(ur_controller) as make:
+    with _factory(testing.ur_controller) as make:
         yield make
 
 
 @pytest.fixture
-def can_bus_factory() -> Iterator[Callable[..., CanBus]]:
+def can_bus_factory() -> Iterator[Callable[..., testing.CanBus]]:
     """Starts mock CiA 402 drives, each arm on its own bus; ended after the test."""
-    from hil.testing.can_bus import can_bus
-
-    with _factory(can_bus) as make:
+    with _factory(testing.can_bus) as make:
         yield make
 
 
 @pytest.fixture
 def mock_robot(
-    request: pytest.FixtureRequest, mock_robot_factory: Callable[..., MockRobot]
-) -> MockRobot:
+    request: pytest.FixtureRequest, mock_robot_factory: Callable[..., testing.MockRobot]
+) -> testing.MockRobot:
     """A connected robot that exists only in this process; see the marker of the same name."""
     return _marked(request, "mock_robot", mock_robot_factory)
 
 
 @pytest.fixture
 def ur_controller(
-    request: pytest.FixtureRequest, ur_controller_factory: Callable[..., UrController]
-) -> UrController:
+    request: pytest.FixtureRequest, ur_controller_factory: Callable[..., testing.UrController]
+) -> testing.UrController:
     """A mock UR controller on real sockets; see the marker of the same name."""
     return _marked(request, "ur_controller", ur_controller_factory)
 
 
 @pytest.fixture
-def can_bus(request: pytest.FixtureRequest, can_bus_factory: Callable[..., CanBus]) -> CanBus:
+def can_bus(
+    request: pytest.FixtureRequest, can_bus_factory: Callable[..., testing.CanBus]
+) -> testing.CanBus:
     """Mock CiA 402 drives on a CAN bus; see the marker of the same name."""
     return _marked(request, "can_bus", can_bus_factory)
 
 
 @pytest.fixture
-def robot_conformance() -> Conformance:
-    """`hil.testing.conformance.robot_conformance`: does a driver keep the contract of a robot?"""
-    from hil.testing import conformance
-
-    return conformance.robot_conformance
+def robot_conformance() -> testing.Conformance:
+    """`hil.testing.robot_conformance`: does a driver keep the contract of a robot?"""
+    return testing.robot_conformance
 
 
 def _marked(request: pytest.FixtureRequest, name: str, make: Callable[..., T]) -> T:
