@@ -1,8 +1,19 @@
 """The engine: executes a plan on a robot, and is the only thing that moves it.
 
 One loop on one thread: hand over a segment, read blocks until it is over. A run is in one of the
-states of `RunState`, `TRANSITIONS` is the whole table, and `Engine.run` always ends it with a
-`RunResult`: nothing is raised from there.
+states of `RunState`, and `Engine.run` always ends it with a `RunResult`: nothing is raised from
+there.
+
+| state     | event                                                           | next state |
+|-----------|-----------------------------------------------------------------|------------|
+| IDLE      | `Engine.run` is called                                          | PREFLIGHT  |
+| PREFLIGHT | the preflight passes                                            | ARMED      |
+| ARMED     | the first block of state rows trips no interlock                | RUNNING    |
+| RUNNING   | a checkpoint, with a pause requested or an interlock that holds | PAUSED     |
+| PAUSED    | a requested pause was ended, interlocks that hold are clear     | RUNNING    |
+| RUNNING   | the last step of the plan is done                               | STOPPING   |
+| all above | a stop, a trip, a fault or any other error                      | STOPPING   |
+| STOPPING  | the arm is at rest, or the time for that is over                | DONE       |
 
 **Pauses** happen at checkpoints of the plan only. Operators and signals request them, interlocks
 with the action `pause` hold the run; the arm holds its set-point, reading and judging go on.

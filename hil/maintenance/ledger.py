@@ -12,6 +12,21 @@ left out is `missed`: one line for all that shares a reason.
 From `held` to `released` nothing begins. A schedule is held by a person, by what ended badly on the
 robot (somebody has to look before the arm moves again), and by a clock that cannot be right.
 
+`Standing.after` is the state after each line, of the occasion that is open and of the schedule:
+
+| state         | line                                        | next state                      |
+|---------------|---------------------------------------------|---------------------------------|
+| nothing open  | `deferred`                                  | open, put off                   |
+| nothing open  | `begun`                                     | open, begun                     |
+| open, put off | `begun`                                     | open, begun                     |
+| open, begun   | `begun` (again), `deferred`                 | open, begun                     |
+| any           | `missed`, `instead` names another occasion  | that one is open, not begun     |
+| open          | `done`, `failed`, `missed` from this one on | nothing open                    |
+| open          | `held` with its occasion                    | nothing open, the schedule held |
+| not held      | `held`                                      | held                            |
+| held          | `released`                                  | not held                        |
+| any           | `started`, `released` with a new anchor     | nothing open, not held          |
+
 One process keeps the ledger; others add what a person says, each line under a lock of the file.
 """
 

@@ -8,6 +8,19 @@ and the next writer brings it up to date. Anything else is damage, which only `r
 
 One writer at a time holds the lock of a name (`writing`); readers need none, as nothing that is
 there is ever changed.
+
+The role of each version follows from the events of the log (`Aliases.after`):
+
+| role                  | event of this version | next role  | and the others                  |
+|-----------------------|-----------------------|------------|---------------------------------|
+| (new)                 | registered            | none       |                                 |
+| none, champion before | challenger            | challenger | the challenger until now: none  |
+| any but champion      | promoted              | champion   | the champion until now: before; |
+|                       |                       |            | the challenger: none            |
+| challenger            | kept                  | none       |                                 |
+| champion before       | rolled-back           | champion   | champions after that one: none  |
+
+`repaired` restores the roles that its evidence names; other events change no role.
 """
 
 from __future__ import annotations

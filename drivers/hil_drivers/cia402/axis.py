@@ -3,6 +3,22 @@
 The state machine (`State`, `Goal`, controlwords) is a set of pure functions: what a drive is told
 next follows from the statusword that it has just sent and from where it is to be brought. No state
 is kept here that could differ from the drive's own, and all axes go through the states at once.
+The controlword by state and goal, with the state that it leads to:
+
+| drive's state          | goal: enabled                        | goal: off                     |
+|------------------------|--------------------------------------|-------------------------------|
+| not ready to switch on | 00h: stays, and goes on by itself    | 00h                           |
+| switch on disabled     | 06h shutdown: ready                  | 00h: stays                    |
+| ready to switch on     | 07h switch on: switched on           | 00h disable voltage: disabled |
+| switched on            | 0Fh enable: operation enabled        | 06h shutdown: ready           |
+| operation enabled      | 0Fh: stays                           | 07h switch on: switched on    |
+| quick stop active      | 02h: brakes, then disabled by itself | 00h disable voltage: disabled |
+| fault reaction active  | 00h: brakes, then fault by itself    | 00h                           |
+| fault                  | 00h: stays                           | 00h: stays                    |
+| none of CiA 402        | 02h quick stop                       | 00h disable voltage           |
+
+The goal quick stop is 02h in every state. A fault is left by 80h after 00h, on request only: switch
+on disabled.
 
 Two watches compare what an axis does with what it was told, and say so in words: `Tracking` while
 it is enabled, `BrakeWatch` while it stops. They find drives that are scaled wrongly, do not follow,

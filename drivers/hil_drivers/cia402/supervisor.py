@@ -8,6 +8,23 @@ cycle's answers, `Complaints` gathers that until it is worth one message.
 
 Whatever goes wrong in a phase of `WATCHED` stops all axes by their own quick stop (`BRAKING`): an
 arm of which one joint has failed must not go on with the others.
+
+| phase                           | event                                             | next phase |
+|---------------------------------|---------------------------------------------------|------------|
+| OFF                             | `enable`                                          | MODE       |
+| OFF                             | `reset`                                           | RESETTING  |
+| RESETTING                       | no axis is in fault                               | OFF        |
+| MODE                            | all show the mode and are switch on disabled      | ENABLING   |
+| ENABLING                        | all axes are operation enabled                    | ENABLED    |
+| ENABLED                         | `switch`                                          | SWITCHING  |
+| SWITCHING                       | all axes show the mode                            | ENABLED    |
+| any but OFF, BRAKING            | `disable`                                         | DISABLING  |
+| DISABLING                       | all are switch on disabled or not ready           | OFF        |
+| any                             | `quick_stop`                                      | BRAKING    |
+| any but OFF, RESETTING, BRAKING | something is wrong with an axis or the bus        | BRAKING    |
+| any but OFF, ENABLED, BRAKING   | it lasts longer than `WITHIN_S`                   | BRAKING    |
+| BRAKING                         | no axis has current, or none answers (`SILENT_S`) | OFF        |
+| BRAKING                         | it lasts longer than `WITHIN_S`                   | OFF        |
 """
 
 from __future__ import annotations

@@ -3,6 +3,16 @@
 `MockNode` takes frames and the device's time and tells the drive behind it by `Hooks`. It is built
 on `canopen.LocalNode` without that library's threads and clocks: `DeviceNetwork` takes the place
 of its bus, `NmtSlave` knows the resets, `Producer` and `Consumer` count heartbeats in device time.
+
+| NMT state    | event                                         | next state      |
+|--------------|-----------------------------------------------|-----------------|
+| initialising | `boot_s` is over: the boot-up message is sent | pre-operational |
+| any other    | start (1)                                     | operational     |
+| any other    | stop (2)                                      | stopped         |
+| any other    | enter pre-operational (128)                   | pre-operational |
+| any other    | reset node (129), reset communication (130)   | initialising    |
+| operational  | connection lost, 1029h:1 = 0                  | pre-operational |
+| operational  | connection lost, 1029h:1 = 2                  | stopped         |
 """
 
 from __future__ import annotations

@@ -4,6 +4,28 @@
 transitions are those of CiA 402-2 (IEC 61800-7-201), figure "power drive system FSA". `PowerStage`
 applies it to one axis: which ramp brings it to rest, and when the current is switched off.
 `Connection` is what it does when its master is lost (6007h).
+
+| state                 | event                                            | next state            |
+|-----------------------|--------------------------------------------------|-----------------------|
+| any                   | power on, NMT reset node                         | not ready             |
+| not ready             | the first measurement                            | switch on disabled    |
+| switch on disabled    | shutdown                                         | ready to switch on    |
+| ready to switch on    | switch on, enable operation                      | switched on           |
+| ready to switch on    | disable voltage, quick stop                      | switch on disabled    |
+| switched on           | enable operation                                 | operation enabled     |
+| switched on           | shutdown                                         | ready to switch on    |
+| switched on           | disable voltage, quick stop                      | switch on disabled    |
+| operation enabled     | switch on; after a ramp, unless 605Ch = 0        | switched on           |
+| operation enabled     | shutdown; after a ramp, unless 605Bh = 0         | ready to switch on    |
+| operation enabled     | disable voltage, or quick stop with 605Ah = 0    | switch on disabled    |
+| operation enabled     | quick stop with another 605Ah                    | quick stop active     |
+| quick stop active     | at rest with 605Ah = 1 to 4, or disable voltage  | switch on disabled    |
+| quick stop active     | enable operation with 605Ah = 5 to 8             | operation enabled     |
+| any but the two below | a fault                                          | fault reaction active |
+| fault reaction active | at rest; at once if 605Eh = 0 or without current | fault                 |
+| fault                 | fault reset, if its cause is gone                | switch on disabled    |
+
+During the ramp out of operation enabled, only disable voltage and quick stop have an effect.
 """
 
 from __future__ import annotations

@@ -3,6 +3,18 @@
 `PlcProgram` plays trajectories, obeys a stop, watches the beat of the PC and fills the ring.
 `Commands` are taken, checked (`refusal_of`) and answered; `Trajectory`, `Ramp` and `Hold` are what
 is commanded to the arm, all in closed form; `RingWriter` writes one row a cycle.
+
+| phase         | event                                                  | next phase |
+|---------------|--------------------------------------------------------|------------|
+| any           | the PLC restarts                                       | HOLDING    |
+| HOLDING       | START of a loaded path                                 | PLAYING    |
+| PLAYING       | the path is over                                       | HOLDING    |
+| PLAYING       | stop, RELEASE, or no beat of the PC for `fWatchdogS`   | STOPPING   |
+| STOPPING      | the ramp is over                                       | HOLDING    |
+| any but FAULT | a fault of the arm or an injected one                  | FAULT      |
+| FAULT         | TAKE, when its cause is gone and the brakes are closed | HOLDING    |
+
+In NOT_READY the drives are not switched on yet; those of the mock always are.
 """
 
 from __future__ import annotations

@@ -1,4 +1,32 @@
-"""Power and safety modes of the controller, and the table of what leads from one to another."""
+"""Power and safety modes of the controller, and the table of what leads from one to another.
+
+| robot mode | event                                   | next robot modes                   |
+|------------|-----------------------------------------|------------------------------------|
+| POWER_OFF  | power on *                              | BOOTING, POWER_ON, IDLE            |
+| POWER_OFF  | release brakes *                        | BOOTING, POWER_ON, IDLE, RUNNING   |
+| IDLE       | release brakes *                        | IDLE, RUNNING                      |
+| any        | power off, release emergency stop       | POWER_OFF                          |
+| any        | emergency stop (both), violation, fault | the same for 0.5 s, then POWER_OFF |
+| any        | restart safety                          | BOOTING for 2 s, then POWER_OFF    |
+
+* In safety mode NORMAL or REDUCED only. Events that also change the safety mode happen only in the
+safety modes below; 1 to 5 are NORMAL, REDUCED, PROTECTIVE_STOP, RECOVERY and SAFEGUARD_STOP.
+
+| safety mode                     | event                  | next safety mode      |
+|---------------------------------|------------------------|-----------------------|
+| NORMAL                          | reduce                 | REDUCED               |
+| REDUCED                         | end reduction          | NORMAL                |
+| NORMAL, REDUCED                 | safeguard stop         | SAFEGUARD_STOP        |
+| SAFEGUARD_STOP                  | end safeguard stop     | NORMAL                |
+| NORMAL, REDUCED, SAFEGUARD_STOP | protective stop        | PROTECTIVE_STOP       |
+| PROTECTIVE_STOP for 5 s         | unlock                 | NORMAL                |
+| 1 to 5                          | emergency stop         | ROBOT_EMERGENCY_STOP  |
+| 1 to 5                          | system emergency stop  | SYSTEM_EMERGENCY_STOP |
+| 1 to 5                          | violation              | VIOLATION             |
+| any                             | fault                  | FAULT                 |
+| ROBOT_, SYSTEM_EMERGENCY_STOP   | release emergency stop | NORMAL                |
+| any but these two               | restart safety         | NORMAL                |
+"""
 
 from __future__ import annotations
 
