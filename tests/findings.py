@@ -285,8 +285,8 @@ def confirmed_in_the_dashboard(folder: Path) -> str:
     from starlette.testclient import TestClient
 
     from hil.api import load, run
-    from hil.dashboard import motions, plan_process, resume_pages, start_pages
-    from hil.dashboard.app import create_app
+    from hil.dashboard import plan_preview, run_page, start_page
+    from hil.dashboard.server import create_app
     from hil.dashboard.settings import Settings
     from hil.robot import Address
     from hil.workflow.operator import Granted, console_desk
@@ -298,7 +298,7 @@ def confirmed_in_the_dashboard(folder: Path) -> str:
     started: list[dict[str, Any]] = []
 
     async def plan(asked: Any, gone: object) -> dict[str, Any]:
-        return plan_process._planned(asked)
+        return plan_preview._plan(asked)
 
     def start(*arguments: object, **more: Any) -> Any:
         started.append(more)
@@ -333,9 +333,9 @@ def confirmed_in_the_dashboard(folder: Path) -> str:
     at = Address("198.51.100.7")
     with (
         mock.patch.object(MockRobot, "address", at, create=True),
-        mock.patch.object(motions, "plan_apart", plan),
-        mock.patch.object(start_pages, "start_run", start),
-        mock.patch.object(resume_pages, "go_on_with", start),
+        mock.patch.object(plan_preview, "plan_in_process", plan),
+        mock.patch.object(start_page, "start_run", start),
+        mock.patch.object(run_page, "go_on_with", start),
     ):
         facts = confirmed_at("/start", spec="a.yaml", do="start")
         go_on = f"/runs/{stopped().relative_to(folder / 'runs').as_posix()}/go-on"
@@ -627,7 +627,7 @@ def odd_names(folder: Path) -> str:
     """Run and list a spec, a folder of runs and a run whose names have a byte 0xff."""
     from starlette.testclient import TestClient
 
-    from hil.dashboard.app import create_app
+    from hil.dashboard.server import create_app
     from hil.dashboard.settings import Settings
 
     spec, runs = folder / os.fsdecode(b"d\xff.yaml"), folder / os.fsdecode(b"runs-\xff")

@@ -20,11 +20,10 @@ from starlette.testclient import TestClient
 
 from hil.core.errors import DataError
 from hil.core.lock_file import hold_run
-from hil.dashboard import live_pages, motions, resume_pages, start_pages, streams, wanted
-from hil.dashboard.app import create_app
-from hil.dashboard.listeners import Listeners
+from hil.dashboard import live_runs, plan_preview, run_page, start_page
+from hil.dashboard.limits import THREADS, StreamLimit
+from hil.dashboard.server import create_app
 from hil.dashboard.settings import Settings
-from hil.dashboard.threads import AT_MOST
 from hil.recording.run_directory import RunDirectory
 from hil.workflow.live_state import LIVE_FILE, LiveState, read_live
 from hil.workflow.remote_control import answer_run, question_of, waiting
@@ -135,7 +134,7 @@ def test_what_was_read_goes_to_the_run_though_it_asks_the_next_by_then(
         held.asks("Remove it", 2)
         return answer_run(*args, **more)
 
-    monkeypatch.setattr(live_pages, "answer_run", meanwhile)
+    monkeypatch.setattr(run_page, "answer_run", meanwhile)
     held.answer(form)
     assert [(one["prompt"], one["asked"]) for one in held.dropped()] == [("Mount it", 1)]
 
@@ -195,9 +194,9 @@ def test_stop_finds_a_thread_while_everybody_plans_or_starts(
     async def planned(*_: Any) -> Any:
         return {"plans": [], "digest": ""}
 
-    monkeypatch.setattr(wanted, "check_start", slow if do == "check" else lambda *_: ())
-    monkeypatch.setattr(motions, "plan_apart", planned)
-    monkeypatch.setattr(start_pages, "start_run", slow_start)
+    monkeypatch.setattr(start_page, "check_start", slow if do == "check" else lambda *_: ())
+    monkeypatch.setattr(plan_preview, "plan_in_process", planned)
+    monkeypatch.setattr(start_page, "start_run", slow_start)
     csrf = held.settings.csrf
 
     async def hurry() -> tuple[float, int, list[int]]:
@@ -236,8 +235,8 @@ def test_stop_finds_a_thread_while_everybody_goes_on(
         over.wait(5)
         return SimpleNamespace(id="1")
 
-    monkeypatch.setattr(resume_pages, "resumption_of", lambda *_: ("", False))
-    monkeypatch.setattr(resume_pages, "go_on_with", slow)
+    monkeypatch.setattr(run_page, "resumption_of", lambda *_: ("", False))
+    monkeypatch.setattr(run_page, "go_on_with", slow)
     csrf = held.settings.csrf
 
     async def hurry() -> tuple[float, int]:
@@ -245,7 +244,7 @@ def test_stop_finds_a_thread_while_everybody_goes_on(
         sent = [
             asyncio.create_task(asked(held.app, path, csrf=csrf, once=str(i))) for i in range(60)
         ]
-        while len(busy) < AT_MOST["starting"]:  # nobody waits for another's start
+        while len(busy) < THREADS["start"]:  # nobody waits for another's start
             await asyncio.sleep(0.01)
         begin = time.monotonic()
         stopped = await asked(held.app, f"{held.address}/stop", csrf=csrf)
@@ -274,14 +273,14 @@ def test_the_disk_is_never_waited_for_where_requests_come_in(
 
         monkeypatch.setattr(module, name, call)
 
-    noted(live_pages, "run_at")
-    noted(streams, "require_run")
-    noted(start_pages, "started_runs")
+    noted(run_page, "folder_at")
+    noted(live_runs, "require_run")
+    noted(start_page, "started_runs")
     csrf = held.settings.csrf
     asyncio.run(asked(held.app, f"{held.address}/stop", csrf=csrf))
     asyncio.run(asked(held.app, "/start/none/cancel", csrf=csrf))
     with pytest.raises(DataError):
-        asyncio.run(streams.run_events(request_of(held, name="none")))
+        asyncio.run(live_runs.run_events(request_of(held, name="none")))
     assert len(where) >= 3
     assert threading.current_thread().name not in where
 
@@ -290,7 +289,7 @@ def test_a_page_that_was_refused_a_stream_can_ask_why() -> None:
     async def endless(scope: Any, receive: Any, send: Any) -> None:
         await asyncio.sleep(10)
 
-    async def ask(app: Listeners, method: str) -> int:
+    async def ask(app: StreamLimit, method: str) -> int:
         told: list[int] = []
 
         async def send(message: Any) -> None:
@@ -301,7 +300,7 @@ def test_a_page_that_was_refused_a_stream_can_ask_why() -> None:
         return told[0]
 
     async def all_of() -> list[int]:
-        app = Listeners(endless, most=1)
+        app = StreamLimit(endless, most=1)
         before = await ask(app, "HEAD")
         listening = asyncio.create_task(ask(app, "GET"))
         await asyncio.sleep(0)

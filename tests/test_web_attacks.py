@@ -28,8 +28,8 @@ from starlette.websockets import WebSocketDisconnect
 
 from hil.core.lock_file import hold_run
 from hil.core.throttle import OncePerMinute
-from hil.dashboard.app import create_app
-from hil.dashboard.protocol import LimitedProtocol, Limits
+from hil.dashboard.limits import LimitedProtocol, Limits
+from hil.dashboard.server import create_app
 from hil.dashboard.settings import Settings
 from hil.recording.run_directory import RunDirectory
 

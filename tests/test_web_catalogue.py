@@ -13,7 +13,7 @@ from catalogue_runs import write_run
 from starlette.testclient import TestClient
 from web_parts import SLY, dashboard, plain, seen
 
-from hil.dashboard.catalogue_pages import PER_PAGE
+from hil.dashboard.catalogue import PER_PAGE
 
 
 @pytest.fixture(scope="module")

@@ -14,8 +14,8 @@ from starlette.testclient import TestClient
 from started_parts import written
 from web_parts import dashboard
 
-from hil.dashboard import motions, start_pages
-from hil.dashboard.checked import digest_of
+from hil.dashboard import plan_preview, start_page
+from hil.dashboard.plan_preview import experiments_digest
 from hil.planning.experiment import Experiment
 from hil.planning.experiment import load as load_experiment
 
@@ -30,7 +30,7 @@ class Desk:
         self.spec, self.station = written(folder / "specs")
         self.browser: TestClient = dashboard(folder)
         self.started: list[dict[str, Any]] = []
-        monkeypatch.setattr(start_pages, "start_run", self._start)
+        monkeypatch.setattr(start_page, "start_run", self._start)
 
     def _start(self, spec: Path, runs: Path, **more: Any) -> Any:
         self.started.append(more)
@@ -83,8 +83,8 @@ def test_a_form_that_was_changed_since_is_checked_anew(
     async def planned(asked: Any, gone: Any) -> Any:
         return {"plans": [], "digest": "0" * 64}
 
-    digest = digest_of([load_experiment(desk.spec, desk.station)])
-    monkeypatch.setattr(motions, "plan_apart", planned)
+    digest = experiments_digest([load_experiment(desk.spec, desk.station)])
+    monkeypatch.setattr(plan_preview, "plan_in_process", planned)
     answer = desk.post("start", checked=digest, **fields)
     assert answer.status_code == 409
     assert desk.started == []
@@ -97,9 +97,9 @@ def test_an_empty_form_carries_no_digest(desk: Desk) -> None:
 
 
 def changed(experiment: Experiment, file: Path, text: str) -> tuple[str, str]:
-    before = digest_of([experiment])
+    before = experiments_digest([experiment])
     file.write_text(text)
-    return before, digest_of([experiment])
+    return before, experiments_digest([experiment])
 
 
 def test_files_that_are_named_count_by_their_content(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from starlette.testclient import TestClient
 from web_parts import dashboard, plain, require_fit_for_all
 
 from hil.core.errors import NotConfirmed, RobotConnectionError
-from hil.dashboard import motions, plan_process, plan_shown, start_pages
+from hil.dashboard import plan_preview, start_page
 from hil.robot import Address
 from hil.workflow.operator import Granted
 from hil_mock_robot.embedded.robot import MockRobot
@@ -48,15 +48,15 @@ class Desk:
         (folder / "specs" / "station.yaml").write_text(STATION)
         self.browser: TestClient = dashboard(folder)
         self.started: list[dict[str, Any]] = []
-        monkeypatch.setattr(start_pages, "start_run", self._start)
-        monkeypatch.setattr(motions, "plan_apart", self._plan)
+        monkeypatch.setattr(start_page, "start_run", self._start)
+        monkeypatch.setattr(plan_preview, "plan_in_process", self._plan)
 
     def _start(self, spec: Path, runs: Path, **more: Any) -> Any:
         self.started.append(more)
         return SimpleNamespace(id=str(len(self.started)))
 
     async def _plan(self, asked: dict[str, Any], gone: object) -> dict[str, Any]:
-        return plan_process._planned(asked)
+        return plan_preview._plan(asked)
 
     def post(self, do: str, **fields: str) -> Any:
         csrf = self.browser.app.state.settings.csrf  # type: ignore[attr-defined]
@@ -198,14 +198,14 @@ def test_facts_that_have_changed_are_shown_and_not_started(desk: Desk) -> None:
 def test_a_robot_that_cannot_be_asked_where_it_stands_is_planned_and_not_started(
     desk: Desk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    planned = plan_shown.preview_experiment
+    planned = plan_preview.preview_experiment
 
     def off(experiment: Any, *, connect: bool = False) -> Any:
         if connect:
             raise RobotConnectionError("it is switched off", hint="switch it on")
         return planned(experiment)
 
-    monkeypatch.setattr(plan_shown, "preview_experiment", off)
+    monkeypatch.setattr(plan_preview, "preview_experiment", off)
     answer = desk.post("check")
     assert "it is switched off" in plain(answer.text)
     assert "facts" not in hidden(answer.text)

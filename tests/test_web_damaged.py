@@ -106,7 +106,7 @@ def test_a_header_that_fails_is_a_name_and_stop(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     broken = failing(TypeError("odd"))
-    monkeypatch.setattr("hil.dashboard.going.header_of", broken)
+    monkeypatch.setattr("hil.dashboard.live_runs.header_of", broken)
     run = RunDirectory.create(tmp_path / "runs", "ur5", "held")
     with hold_run(run.path):
         html = seen(dashboard(tmp_path), "/")
@@ -118,7 +118,7 @@ def test_an_error_is_told_even_where_no_page_can_be_made(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     broken = failing(PermissionError(13, "Permission denied", "/lab/<b>runs"))
-    monkeypatch.setattr("hil.dashboard.rendering.going_on", broken)
+    monkeypatch.setattr("hil.dashboard.rendering.live_headers", broken)
     answer = dashboard(tmp_path).get("/")
     assert answer.status_code == 500
     assert "/lab/&lt;b&gt;runs: Permission denied" in answer.text
@@ -131,7 +131,7 @@ def test_a_run_that_cannot_be_understood_is_damaged_with_the_reason(
 ) -> None:
     broken = failing(TypeError("odd <b>"))
     monkeypatch.setattr("hil.runs.listing._from_documents", broken)
-    monkeypatch.setattr("hil.dashboard.run_facts._facts", broken)
+    monkeypatch.setattr("hil.dashboard.run_page._facts", broken)
     require_all_is_there(lab)
     (entry,) = find_runs(runs=lab / "runs")
     assert (entry["status"], entry["samples"]) == ("damaged", None)

@@ -13,7 +13,7 @@ from started_parts import written
 from web_parts import dashboard
 
 from hil.core.errors import SpecError
-from hil.dashboard.given_files import FILE_KEYS
+from hil.dashboard.start_page import FILE_KEYS
 from hil.excitation.dwell import MOST_QUOTED, read_waypoints
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.model_tree import tree

@@ -12,10 +12,9 @@ from pathlib import Path
 import pytest
 
 from hil.core.lock_file import hold_run
-from hil.dashboard.going import being_planned, going_on
-from hil.dashboard.resume_pages import way_on
+from hil.dashboard.live_runs import _SharedBar, live_headers, pending_starts
+from hil.dashboard.run_page import resume_offer
 from hil.dashboard.settings import Settings
-from hil.dashboard.streams import _LiveRuns
 from hil.runs import live_runs as known_runs
 from hil.workflow.background_runs import FOLDER, Started, ticks_of
 
@@ -53,14 +52,14 @@ def test_a_stream_looks_into_no_run_that_has_ended(
     looked_at: list[Path] = []
     real, changed = known_runs.is_live, known_runs._changed
     monkeypatch.setattr(known_runs, "is_live", lambda run: looked_at.append(run) or real(run))
-    news = _LiveRuns(settings)
+    news = _SharedBar(settings)
     with hold_run(live):
-        news.now()
+        news.read()
         asked: list[Path] = []
         monkeypatch.setattr(known_runs, "_changed", lambda at: asked.append(at) or changed(at))
         looked_at.clear()
-        news._until = 0.0
-        (told,) = news.now().live or []
+        news._fresh_until = 0.0
+        (told,) = news.read().live or []
     assert told["address"] == "/runs/2026-11-23/ur5/0001-a"
     assert looked_at == [live]
     # Folders of runs, a day and a robot, and the one run that may be live.
@@ -69,16 +68,16 @@ def test_a_stream_looks_into_no_run_that_has_ended(
 
 def test_one_that_is_gone_on_with_is_shown_once_and_at_once(settings: Settings) -> None:
     run = ended(settings, "0001-a")
-    news = _LiveRuns(settings)
+    news = _SharedBar(settings)
     again = started_here(run, settings)
-    assert [one["id"] for one in news.now().planned or []] == ["17"]
+    assert [one["id"] for one in news.read().planned or []] == ["17"]
     assert again.made == []
     with hold_run(run):  # it plans the way back; resume-01.json comes after that
-        news._until = 0.0
-        now = news.now()
-        assert now.planned == being_planned(settings) == []
+        news._fresh_until = 0.0
+        now = news.read()
+        assert now.planned == pending_starts(settings) == []
         assert [one["address"] for one in now.live or []] == ["/runs/2026-11-23/ur5/0001-a"]
-        assert going_on(settings) == now.live
+        assert live_headers(settings) == now.live
         assert again.made == [run.resolve()]  # its page leads to that of the run, which has Stop
 
 
@@ -90,19 +89,19 @@ def made_by_it(settings: Settings, name: str) -> Path:
 
 def test_a_process_that_only_closes_after_its_run_plans_nothing(settings: Settings) -> None:
     started_here(settings.runs.parent / "a.yaml", settings)
-    assert [one["text"] for one in being_planned(settings)] == ["is being planned"]
+    assert [one["text"] for one in pending_starts(settings)] == ["is being planned"]
     made_by_it(settings, "0001-a")
-    assert being_planned(settings) == []
+    assert pending_starts(settings) == []
 
 
 def test_nor_does_one_that_only_closes_after_it_went_on_with_a_run(settings: Settings) -> None:
     run = ended(settings, "0001-a")
     started_here(run, settings)
-    assert [one["text"] for one in being_planned(settings)] == ["is about to go on"]
-    assert way_on(run, settings)["begun"] == "/start/17"
+    assert [one["text"] for one in pending_starts(settings)] == ["is about to go on"]
+    assert resume_offer(run, settings)["begun"] == "/start/17"
     (run / "resume-01.json").write_text('{"started_as": "17"}')
-    assert being_planned(settings) == []
-    assert way_on(run, settings)["begun"] == ""
+    assert pending_starts(settings) == []
+    assert resume_offer(run, settings)["begun"] == ""
 
 
 def test_a_series_between_two_runs_can_be_cancelled(settings: Settings, tmp_path: Path) -> None:
@@ -112,9 +111,9 @@ def test_a_series_between_two_runs_can_be_cancelled(settings: Settings, tmp_path
     spec.write_text("hil_series: 1\nname: two\nseries: [{spec: a.yaml}, {spec: b.yaml}]\n")
     started_here(spec, settings)
     first = made_by_it(settings, "0001-a")
-    assert being_planned(settings) == []  # stopped: it does not go on
+    assert pending_starts(settings) == []  # stopped: it does not go on
     (first / "verdict.json").write_text("{}")
-    assert [one["text"] for one in being_planned(settings)] == ["is about to begin its next run"]
+    assert [one["text"] for one in pending_starts(settings)] == ["is about to begin its next run"]
     last = made_by_it(settings, "0002-b")
     (last / "verdict.json").write_text("{}")
-    assert being_planned(settings) == []
+    assert pending_starts(settings) == []

@@ -15,10 +15,9 @@ from starlette.testclient import TestClient
 
 from hil.cli.serving import _offered, serve
 from hil.core.errors import SpecError
-from hil.dashboard.app import create_app
-from hil.dashboard.listeners import Listeners
+from hil.dashboard.limits import StreamLimit
 from hil.dashboard.security import MOST_BYTES, POLICY
-from hil.dashboard.serving import address
+from hil.dashboard.server import browser_address, create_app
 from hil.dashboard.settings import Settings
 
 HERE = "http://127.0.0.1:8350"
@@ -211,8 +210,8 @@ def test_a_file_that_may_not_be_read_is_no_forbidden_form(own: Settings) -> None
 
 def test_a_token_of_the_environment_is_not_printed(tmp_path: Path) -> None:
     made = settings(tmp_path, token="k" * 16)
-    assert address(made) == f"http://127.0.0.1:{made.port}/?token={'k' * 16}"
-    assert address(replace(made, token_given=True)) == f"http://127.0.0.1:{made.port}/"
+    assert browser_address(made) == f"http://127.0.0.1:{made.port}/?token={'k' * 16}"
+    assert browser_address(replace(made, token_given=True)) == f"http://127.0.0.1:{made.port}/"
     assert "kkk" not in repr(made)
 
 
@@ -235,11 +234,11 @@ def test_so_many_may_listen_and_no_more() -> None:
         if message["type"] == "http.response.start":
             answers.append(message["status"])
 
-    async def listen(app: Listeners, path: str) -> None:
+    async def listen(app: StreamLimit, path: str) -> None:
         await app({"type": "http", "method": "GET", "path": path}, None, send)  # type: ignore[arg-type]
 
     async def everybody() -> None:
-        app = Listeners(forever, most=2)  # type: ignore[arg-type]
+        app = StreamLimit(forever, most=2)  # type: ignore[arg-type]
         paths = ["/events", "/runs/2026/ur5/0001-a/events", "/events", "/runs"]
         asked = [asyncio.create_task(listen(app, path)) for path in paths]
         await asyncio.sleep(0)
@@ -254,8 +253,8 @@ def test_so_many_may_listen_and_no_more() -> None:
 
 def test_as_many_files_may_be_open_as_are_allowed() -> None:
     told = (
-        "import resource as r; from hil.dashboard import serving\n"
-        "r.setrlimit(r.RLIMIT_NOFILE, (64, 128)); serving._allow_many_files()\n"
+        "import resource as r; from hil.dashboard import server\n"
+        "r.setrlimit(r.RLIMIT_NOFILE, (64, 128)); server._allow_many_files()\n"
         "print(*r.getrlimit(r.RLIMIT_NOFILE))"
     )
     done = subprocess.run([sys.executable, "-c", told], capture_output=True, text=True)

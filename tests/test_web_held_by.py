@@ -13,9 +13,9 @@ import pytest
 from starlette.testclient import TestClient
 
 from hil.core.errors import RobotConnectionError
-from hil.dashboard.app import create_app
-from hil.dashboard.held_by import held_by
+from hil.dashboard.server import create_app
 from hil.dashboard.settings import Settings
+from hil.dashboard.start_page import lock_owner
 from hil.robot.lease import leased
 from hil.workflow.background_runs import FOLDER, Started
 
@@ -60,4 +60,4 @@ def test_a_run_kept_elsewhere_and_other_words_lead_nowhere(
     settings.runs.mkdir()
     elsewhere = tmp_path / "others" / "0001-a"
     elsewhere.mkdir(parents=True)
-    assert held_by([words(elsewhere, monkeypatch), "SpecError: a", ""], settings) is None
+    assert lock_owner([words(elsewhere, monkeypatch), "SpecError: a", ""], settings) is None

@@ -13,7 +13,7 @@ from live_run import until
 from starlette.testclient import TestClient
 from started_parts import PROMPT, begun
 
-from hil.dashboard.app import create_app
+from hil.dashboard.server import create_app
 from hil.dashboard.settings import Settings
 from hil.recording.events import read_events
 from hil.recording.run_directory import RunDirectory

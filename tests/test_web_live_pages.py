@@ -16,8 +16,8 @@ from interlock_parts import NAMES, made, rows
 from starlette.testclient import TestClient
 
 from hil.core.lock_file import hold_run
-from hil.dashboard.app import create_app
-from hil.dashboard.live_facts import LiveRun, header_of
+from hil.dashboard.live_runs import LiveRun, header_of
+from hil.dashboard.server import create_app
 from hil.dashboard.settings import Settings
 from hil.recording.run_directory import RunDirectory
 from hil.robot import Capabilities

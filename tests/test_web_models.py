@@ -13,7 +13,7 @@ from drift_parts import probe
 from web_parts import SLY, dashboard, plain, seen
 
 import hil
-from hil.dashboard.drawing import LEFT, RIGHT, WIDTH, timeline
+from hil.dashboard.models import LEFT, RIGHT, WIDTH, timeline
 from hil.models.drift import PROBES_FILE, assess
 from hil.models.log import Entry
 from hil.models.model_registry import Registry

@@ -10,9 +10,8 @@ import pytest
 from starlette.testclient import TestClient
 from web_parts import failing
 
-from hil.dashboard.app import create_app
 from hil.dashboard.security import POLICY
-from hil.dashboard.serving import address
+from hil.dashboard.server import browser_address, create_app
 from hil.dashboard.settings import Settings
 
 TOKEN = "correct horse battery staple"
@@ -43,7 +42,7 @@ def test_the_printed_address_opens(
 ) -> None:
     monkeypatch.setattr(socket, "gethostname", lambda: "Bench-PC")
     made = settings(tmp_path, host=host, names=names, token=TOKEN, read_only=True)
-    opened = address(made)
+    opened = browser_address(made)
     browser = TestClient(create_app(made), base_url=opened.partition("?")[0])
     answer = browser.get(opened)
     assert answer.status_code == 200, (opened, answer.text[:200])
@@ -82,7 +81,9 @@ def test_headers_that_no_browser_sends_are_refused_without_a_page(
 def test_a_guard_that_fails_lets_nobody_in_and_shows_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hil.dashboard.security.Guard._unknown", failing(RuntimeError("a mistake")))
+    monkeypatch.setattr(
+        "hil.dashboard.security.Guard._token_refusal", failing(RuntimeError("a mistake"))
+    )
     made = settings(tmp_path, token=TOKEN)
     visitor = TestClient(
         create_app(made), base_url="http://127.0.0.1:8350", raise_server_exceptions=False

@@ -24,7 +24,7 @@ from started_parts import written
 from web_parts import dashboard, failing
 
 from hil.core.errors import PlanError
-from hil.dashboard import plan_process, planning
+from hil.dashboard import plan_preview
 from hil.workflow.background_runs import ticks_of
 
 ENDLESS = "excitation.waypoints=100000"
@@ -47,7 +47,7 @@ def plans_as(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
         note = f"open({str(tmp_path / 'pid')!r}, 'w').write(str(os.getpid()))"
         (tmp_path / "planned_so.py").write_text(f"import os, sys, time\n{note}\n{text}")
         monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-        monkeypatch.setattr(planning, "MODULE", "planned_so")
+        monkeypatch.setattr(plan_preview, "MODULE", "planned_so")
         return tmp_path / "pid"
 
     return so
@@ -76,7 +76,7 @@ def test_modules_in_the_working_folder_are_not_imported(
 def test_a_plan_that_takes_too_long_is_ended_and_said(
     tmp_path: Path, plans_as: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(planning, "LIMIT_S", 1.0)
+    monkeypatch.setattr(plan_preview, "LIMIT_S", 1.0)
     pid = plans_as("time.sleep(60)")
     status, text = check(tmp_path)
     assert status == 422
@@ -88,7 +88,7 @@ def test_a_plan_that_takes_too_long_is_ended_and_said(
 def test_a_plan_has_so_much_memory_and_no_more(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(planning, "MOST_BYTES", 150 * 1024**2)
+    monkeypatch.setattr(plan_preview, "MOST_BYTES", 150 * 1024**2)
     status, text = check(tmp_path)
     assert status == 422
     assert "no plan" in text
@@ -96,15 +96,15 @@ def test_a_plan_has_so_much_memory_and_no_more(
 
 
 def test_arrays_that_do_not_fit_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(plan_process, "_planned", failing(MemoryError()))
-    assert plan_process._answer(ASKED) == {"error": plan_process.TOO_LARGE, "broken": True}
+    monkeypatch.setattr(plan_preview, "_plan", failing(MemoryError()))
+    assert plan_preview._answer(ASKED) == {"error": plan_preview.TOO_LARGE, "broken": True}
 
 
 @pytest.mark.parametrize("text", ["os._exit(7)", "print('no JSON')", "print('[')", "print('7')"])
 def test_a_planning_that_breaks_is_said(plans_as: Any, text: str) -> None:
     plans_as(text)
     with pytest.raises(PlanError, match="ended without an answer"):
-        asyncio.run(planning.plan_apart(ASKED, stays))
+        asyncio.run(plan_preview.plan_in_process(ASKED, stays))
 
 
 def test_nobody_waits_and_nothing_is_planned(plans_as: Any) -> None:
@@ -113,8 +113,8 @@ def test_nobody_waits_and_nothing_is_planned(plans_as: Any) -> None:
     async def gone() -> bool:
         return pid.exists() and bool(pid.read_text())
 
-    with pytest.raises(planning.Gone):
-        asyncio.run(planning.plan_apart(ASKED, gone))
+    with pytest.raises(plan_preview.ClientGone):
+        asyncio.run(plan_preview.plan_in_process(ASKED, gone))
     assert not ticks_of(int(pid.read_text()))
 
 
@@ -122,7 +122,7 @@ def test_a_request_that_is_ended_ends_its_plan(plans_as: Any) -> None:
     pid = plans_as("import subprocess\nsubprocess.run(['sleep', '60'])")
 
     async def ended() -> None:
-        task = asyncio.create_task(planning.plan_apart(ASKED, stays))
+        task = asyncio.create_task(plan_preview.plan_in_process(ASKED, stays))
         while not (pid.exists() and pid.read_text() and children_of(int(pid.read_text()))):
             await asyncio.sleep(0.02)
         inner.extend(children_of(int(pid.read_text())))
@@ -138,7 +138,7 @@ def test_a_request_that_is_ended_ends_its_plan(plans_as: Any) -> None:
 def test_the_token_is_not_handed_on(plans_as: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HIL_TOKEN", "k" * 16)
     plans_as("import json; print(json.dumps({'plans': [], 'env': dict(os.environ)}))")
-    answer = asyncio.run(planning.plan_apart(ASKED, stays))
+    answer = asyncio.run(plan_preview.plan_in_process(ASKED, stays))
     assert "HIL_TOKEN" not in answer["env"]
 
 
@@ -146,7 +146,7 @@ def test_a_plan_ends_with_whoever_asked_for_it(tmp_path: Path) -> None:
     spec, _ = written(tmp_path)
     asked = {**ASKED, "spec": str(spec), "overrides": dict([ENDLESS.split("=")]), "bytes": 2**32}
     with subprocess.Popen(
-        [sys.executable, "-m", "hil.dashboard.plan_process"],
+        [sys.executable, "-m", "hil.dashboard.plan_preview"],
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True,
     ) as process:  # fmt: skip
         try:
@@ -192,8 +192,8 @@ STUCK = """
 import sys, time
 from pathlib import Path
 from starlette.routing import Route
-from hil.dashboard import serving
-from hil.dashboard.app import create_app
+from hil.dashboard import server
+from hil.dashboard.server import create_app
 from hil.dashboard.settings import Settings
 
 def stuck(request):
@@ -205,9 +205,9 @@ def made(settings):
     app.router.routes.insert(0, Route("/stuck", stuck))
     return app
 
-serving.create_app = made
+server.create_app = made
 settings = Settings(Path("runs"), Path("registry"))
-serving.serve(settings, serving.listen("127.0.0.1", 0), lambda told: print(told, flush=True))
+server.serve(settings, server.listen("127.0.0.1", 0), lambda told: print(told, flush=True))
 """
 
 

@@ -18,7 +18,7 @@ from web_parts import dashboard, plain, seen
 
 from hil.core.errors import DataError
 from hil.core.lock_file import hold_run
-from hil.dashboard.app import create_app
+from hil.dashboard.server import create_app
 from hil.dashboard.settings import Settings
 from hil.recording.run_directory import RunDirectory
 from hil.workflow.background_runs import Started, go_on_with, started_runs
@@ -67,7 +67,7 @@ class Starts:
 @pytest.fixture
 def starts(monkeypatch: pytest.MonkeyPatch) -> Iterator[Starts]:
     made = Starts()
-    monkeypatch.setattr("hil.dashboard.resume_pages.go_on_with", made)
+    monkeypatch.setattr("hil.dashboard.run_page.go_on_with", made)
     return made
 
 

@@ -22,7 +22,7 @@ from web_parts import address_of_run, dashboard, plain, require_fit_for_all, see
 
 import hil
 from hil.core.errors import RobotConnectionError
-from hil.dashboard import motions, plan_process, resume_pages
+from hil.dashboard import plan_preview, run_page
 from hil.robot import Address
 from hil.workflow.background_runs import started_runs
 from hil.workflow.operator import Granted
@@ -66,9 +66,9 @@ def form(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at: Callable[[str], No
     begun = stopped(hil.load(tmp_path / "small.yaml"), monkeypatch, Granted("--yes"))
 
     async def planned(asked: dict[str, Any], gone: object) -> dict[str, Any]:
-        return plan_process._planned(asked)
+        return plan_preview._plan(asked)
 
-    monkeypatch.setattr(motions, "plan_apart", planned)
+    monkeypatch.setattr(plan_preview, "plan_in_process", planned)
     return Form(begun.run, tmp_path)
 
 
@@ -81,7 +81,7 @@ def starts(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
         noted.append(more)
         return SimpleNamespace(id=str(len(noted)))
 
-    monkeypatch.setattr(resume_pages, "go_on_with", start)
+    monkeypatch.setattr(run_page, "go_on_with", start)
     return noted
 
 

@@ -15,7 +15,7 @@ from web_parts import SLY, dashboard, plain, run_in, seen
 from web_parts import address_of_run as address
 
 from hil.core.lock_file import hold_run
-from hil.dashboard.run_files import SHUT_IN
+from hil.dashboard.run_files import SANDBOX
 
 
 @pytest.fixture
@@ -88,7 +88,7 @@ def test_a_report_is_shut_in(measured: Path) -> None:
     answer = dashboard(measured).get(f"{address(run_in(measured), measured)}/report")
     assert answer.status_code == 200
     assert "<title>" in answer.text
-    for name, value in SHUT_IN.items():
+    for name, value in SANDBOX.items():
         assert answer.headers[name] == value
     policy = answer.headers["content-security-policy"]
     assert policy.startswith("sandbox allow-scripts allow-popups; default-src 'none'")

@@ -17,7 +17,7 @@ from starlette.testclient import TestClient
 from web_parts import SLY, dashboard, plain, seen
 
 from hil.core.errors import FitError
-from hil.dashboard.schedules_known import coming
+from hil.dashboard.schedules import due_next
 from hil.dashboard.settings import Settings
 from hil.maintenance.ledger import LEDGER_FILE, Ledger, kept
 from hil.spec.schedule import load_schedule_spec
@@ -147,7 +147,7 @@ def test_a_damaged_ledger_is_named_and_cannot_be_held(lab: Path) -> None:
     assert "the ledger was changed" in html
     assert "/hold" not in html
     assert say(client, "hold", "x") == 404
-    assert coming(settings(lab)) == []
+    assert due_next(settings(lab)) == []
 
 
 @pytest.mark.parametrize("content", ["hil_schedule: [", "hil_schedule: 1\nname: nightly\n"])
@@ -181,7 +181,7 @@ def test_a_schedule_of_every_minute_that_slept_a_year_is_answered_at_once(lab: P
 
 
 def test_what_is_coming_is_told_soonest_first(lab: Path) -> None:
-    found = coming(settings(lab))
+    found = due_next(settings(lab))
     assert [one["due"] for one in found] == sorted(one["due"] for one in found)
     assert {one["job"] for one in found} == {"probe"}
     assert found[0]["due"] > datetime.now(UTC)
@@ -189,7 +189,7 @@ def test_what_is_coming_is_told_soonest_first(lab: Path) -> None:
     assert found[0]["when"].endswith("03:00 (Europe/Berlin)")
     with kept(lab / "schedules" / "nightly", "nightly") as ledger:
         ledger.add("held", datetime.now(UTC), why="oil", by="ada")
-        held = coming(settings(lab))[0]
+        held = due_next(settings(lab))[0]
     assert held["held"] == "oil"
     assert held["run_by"].startswith("pid ")
 

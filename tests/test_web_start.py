@@ -16,9 +16,9 @@ from starlette.testclient import TestClient
 from started_parts import PROMPT, written
 
 from hil.core.errors import RecordingError
-from hil.dashboard.app import create_app
-from hil.dashboard.once import Once
+from hil.dashboard.server import create_app
 from hil.dashboard.settings import Settings
+from hil.dashboard.start_page import Idempotency
 from hil.recording.run_directory import RunDirectory
 from hil.workflow.background_runs import started_runs
 
@@ -140,7 +140,7 @@ def test_a_form_that_is_sent_twice_starts_one_run(
     desk: Desk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     starts = Starts()
-    monkeypatch.setattr("hil.dashboard.start_pages.start_run", starts)
+    monkeypatch.setattr("hil.dashboard.start_page.start_run", starts)
     form = once(desk)
     with ThreadPoolExecutor(2) as both:
         answers = list(both.map(lambda _: desk.post(do="start", once=form), range(2)))
@@ -160,25 +160,25 @@ def test_what_could_not_be_started_may_be_sent_again(
         raise RecordingError("no space left on device")
 
     form, starts = once(desk), Starts()
-    monkeypatch.setattr("hil.dashboard.start_pages.start_run", full)
+    monkeypatch.setattr("hil.dashboard.start_page.start_run", full)
     assert desk.post(do="start", once=form).status_code == 422
-    monkeypatch.setattr("hil.dashboard.start_pages.start_run", starts)
+    monkeypatch.setattr("hil.dashboard.start_page.start_run", starts)
     assert desk.post(do="start", once=form).status_code == 303
 
 
 def test_what_was_sent_is_forgotten_after_a_while(monkeypatch: pytest.MonkeyPatch) -> None:
     now_s = 100.0
-    monkeypatch.setattr("hil.dashboard.once.time", SimpleNamespace(monotonic=lambda: now_s))
+    monkeypatch.setattr("hil.dashboard.start_page.time", SimpleNamespace(monotonic=lambda: now_s))
     done: list[int] = []
 
     def do() -> str:
         done.append(1)
         return str(len(done))
 
-    brief = Once(0.05)
-    assert [brief.of("a", do), brief.of("a", do), brief.of("b", do)] == ["1", "1", "2"]
+    brief = Idempotency(0.05)
+    assert [brief.result("a", do), brief.result("a", do), brief.result("b", do)] == ["1", "1", "2"]
     now_s += 0.06
-    assert brief.of("a", do) == "3"
+    assert brief.result("a", do) == "3"
 
 
 def test_read_only_offers_no_start(tmp_path: Path) -> None:
@@ -277,7 +277,7 @@ def test_the_part_is_started_and_another_part_is_another_run(
     desk: Desk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     starts, form = Starts(), once(desk)
-    monkeypatch.setattr("hil.dashboard.start_pages.start_run", starts)
+    monkeypatch.setattr("hil.dashboard.start_page.start_run", starts)
     for first in ("4", "4", "5"):
         desk.post(do="start", once=form, speed="10%", first=first)
     assert [(one["speed"], one["first"]) for one in starts.what] == [("10%", "4"), ("10%", "5")]

@@ -11,7 +11,7 @@ from typing import Any
 from starlette.testclient import TestClient
 
 import hil
-from hil.dashboard.app import create_app
+from hil.dashboard.server import create_app
 from hil.dashboard.settings import Settings
 from hil.models.model_registry import Registry, facts_of
 

@@ -1,4 +1,4 @@
-from .serving import listen as listen
-from .serving import serve as serve
+from .server import listen as listen
+from .server import serve as serve
 from .settings import Settings as Settings
 from .settings import is_loopback as is_loopback

@@ -1,7 +1,12 @@
-"""The first page: what is going on, what came last, what comes next."""
+"""The overview: live runs, the newest runs, what schedules have due, and stations.
+
+Of a station its robots are shown, and the leases of those that a process holds; no driver is opened
+for it. Stations are those that may be chosen for a start, and the one that is taken by default.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -9,44 +14,52 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
-from hil.dashboard.bench_facts import stations_of
-from hil.dashboard.catalogue_pages import status_mark
-from hil.dashboard.going import going_on
-from hil.dashboard.places import address_of, name_of
-from hil.dashboard.rendering import page, settings_of
-from hil.dashboard.schedules_known import coming
-from hil.dashboard.settings import Settings
+from hil.core import HilError, Holder, plain, since_words
+from hil.dashboard.catalogue import status_mark, verdict_mark
+from hil.dashboard.live_runs import live_headers
+from hil.dashboard.rendering import page
+from hil.dashboard.run_files import run_address, run_name
+from hil.dashboard.schedules import due_next
+from hil.dashboard.settings import Settings, settings_of
+from hil.dashboard.start_page import offered_files
+from hil.planning import find_station
 from hil.recording import number_of
-from hil.report import duration
+from hil.report import counted, duration
+from hil.robot import held_leases
 from hil.runs import entry_of, listing_of, run_paths
+from hil.spec import Station
 
 NEWEST = 8
-VERDICTS = {"passed": "pass", "rejected": "fail"}
+"""Runs that are listed, the newest."""
+
+MOST_STATIONS = 12
+
+FEW_ROBOTS = 12
+"""Robots of a station that are all listed; of more, those that are free are folded away."""
 
 
 def overview(request: Request) -> Response:
-    """What is going on."""
+    """Show the overview."""
     settings = settings_of(request)
+    runs = sorted(run_paths(settings.runs), key=lambda run: (number_of(run), run), reverse=True)
     return page(
         request,
         "overview.html.j2",
         title="Overview",
-        going=going_on(settings),
-        newest=[_run(run, settings) for run in _newest(settings)],
+        going=live_headers(settings),
+        newest=[_run_row(run, settings) for run in runs[:NEWEST]],
         stations=stations_of(settings),
-        coming=coming(settings),
+        coming=due_next(settings),
     )
 
 
-def _newest(settings: Settings) -> list[Path]:
-    found = sorted(run_paths(settings.runs), key=lambda run: (number_of(run), run), reverse=True)
-    return found[:NEWEST]
+routes = [Route("/", overview)]
 
 
-def _run(run: Path, settings: Settings) -> dict[str, Any]:
+def _run_row(run: Path, settings: Settings) -> dict[str, Any]:
     entry = entry_of(listing_of(run))
     try:
-        name, address = name_of(run, settings), address_of(run, settings)
+        name, address = run_name(run, settings), run_address(run, settings)
     except ValueError:  # a link that leads out of the folder of runs
         name, address = run.name, ""
     return {
@@ -55,10 +68,84 @@ def _run(run: Path, settings: Settings) -> dict[str, Any]:
         "status": entry["status"],
         "status_mark": status_mark(str(entry["status"])),
         "verdict": entry["verdict"],
-        "verdict_mark": VERDICTS.get(entry["verdict"], "quiet"),
+        "verdict_mark": verdict_mark(entry["verdict"]),
         "duration": duration(entry["duration_s"]),
         "problem": entry["problem"],
     }
 
 
-routes = [Route("/", overview)]
+def stations_of(settings: Settings) -> list[dict[str, Any]]:
+    """Return stations, and at the end what is held and belongs to none of them (`elsewhere`).
+
+    Returns:
+        `name`, `source`, `problem`, `told` (the number of robots, if some are folded away),
+        `robots`, and those folded away as `rest`: `name`, `driver`, `model`, `held` and `run` each.
+    """
+    leases = held_leases()
+    stations: list[Path | None] = [None]  # the one that is taken by default
+    if settings.specs is not None:
+        names = offered_files(settings, "station")[:MOST_STATIONS]
+        stations += [settings.specs / name for name in names]
+    shown = [_station(file, settings, leases) for file in stations]
+    known = {id(robot["lease"]) for one in shown for robot in one["robots"]}
+    others = [_held(lease, settings) for lease in leases if id(lease) not in known]
+    if others:
+        shown.append({"name": "elsewhere", "source": "", "problem": "", **_folded(others)})
+    return shown
+
+
+def _station(file: Path | None, settings: Settings, leases: list[Holder]) -> dict[str, Any]:
+    try:
+        station, _, source = find_station(settings.specs or Path(), file)
+    except HilError as error:
+        return {"name": str(file), "source": "", "problem": error.message, **_folded([])}
+    robots = _folded(list(_robots(station, source, settings, leases)))
+    return {"name": station.name, "source": source, "problem": "", **robots}
+
+
+def _robots(
+    station: Station, source: str, settings: Settings, leases: list[Holder]
+) -> Iterator[dict[str, Any]]:
+    for name, robot in station.robots.items():
+        lease = next((one for one in leases if _is_of(one, name, source)), None)
+        held = _held(lease, settings) if lease else {"held": "", "run": None, "lease": None}
+        yield {**held, "name": name, "driver": robot.driver, "model": robot.model}
+
+
+def _is_of(lease: Holder, robot: str, source: str) -> bool:
+    station = Path(str(lease.content.get("station", "")))
+    path = Path(source)
+    same = station == path or (station.is_file() and station.resolve() == path.resolve())
+    return same and lease.content.get("robot") == robot
+
+
+def _held(lease: Holder, settings: Settings) -> dict[str, Any]:
+    content = lease.content
+    holder = (plain(content.get("user", "?")), lease.process, since_words(content, None))
+    return {
+        "name": plain(content.get("robot", "?")),
+        "driver": plain(content.get("driver", "?")),
+        "model": "",
+        "held": ", ".join(filter(None, holder)),
+        "run": _run_link(plain(content.get("run", ""), most=1000), settings),
+        "lease": lease,
+    }
+
+
+def _run_link(run: str, settings: Settings) -> dict[str, str] | None:
+    if not run:
+        return None
+    try:
+        return {"name": Path(run).name, "address": run_address(Path(run), settings)}
+    except ValueError:  # it is in another folder of runs, and has no page here
+        return {"name": run, "address": ""}
+
+
+def _folded(robots: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return robots that are always shown, and the rest."""
+    if len(robots) <= FEW_ROBOTS:
+        return {"told": "", "robots": robots, "rest": []}
+    held = [one for one in robots if one["held"]]
+    free = [one for one in robots if not one["held"]]
+    summary = f"{counted(len(robots), 'robot')}, {len(held) or 'none'} held"
+    return {"told": summary, "robots": held, "rest": free}

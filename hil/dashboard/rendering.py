@@ -1,4 +1,8 @@
-"""Pages from templates; every text of them is escaped."""
+"""Pages and answers: HTML from the templates, JSON for programs, and errors as either.
+
+Every text of a template is escaped. Every page shows the bar of live runs with Stop, the error page
+too; if the bar itself cannot be made, a bare page says so.
+"""
 
 from __future__ import annotations
 
@@ -16,14 +20,14 @@ from starlette.responses import HTMLResponse, Response
 
 from hil import __version__
 from hil.core import HilError, json_text, shell_word, utf8_text
-from hil.dashboard.going import being_planned, going_on
+from hil.dashboard.live_runs import live_headers, pending_starts
 from hil.dashboard.security import Forbidden
-from hil.dashboard.settings import Settings
+from hil.dashboard.settings import settings_of
 
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-WHO = "hil_who"
+OPERATOR_COOKIE = "hil_who"
 
 NAVIGATION = (
     ("/", "Overview"),
@@ -35,19 +39,21 @@ NAVIGATION = (
 )
 
 
-def settings_of(request: Request) -> Settings:
-    """The settings of the dashboard that is asked."""
-    settings: Settings = request.app.state.settings
-    return settings
+def operator_of(request: Request) -> str:
+    """Return the operator at the browser: their name, else the user the dashboard runs as."""
+    return unquote(request.cookies.get(OPERATOR_COOKIE, "")).strip()[:80] or _default_operator()
 
 
-def who_of(request: Request) -> str:
-    """Who sits at the browser: the name they gave, else the user the dashboard runs for."""
-    return unquote(request.cookies.get(WHO, "")).strip()[:80] or f"{_user()} (dashboard)"
+def _default_operator() -> str:
+    try:
+        user = getpass.getuser()
+    except (KeyError, OSError):  # a user without a name
+        user = "somebody"
+    return f"{user} (dashboard)"
 
 
 def back(request: Request) -> str:
-    """Where a form was sent from; only ever a page of ours."""
+    """Return the address that a form was sent from; never one of another site."""
     try:
         came = urlsplit(request.headers.get("referer", ""))
     except ValueError:  # no address
@@ -59,13 +65,13 @@ def back(request: Request) -> str:
 
 
 def page(request: Request, template: str, *, status: int = 200, **context: Any) -> Response:
-    """A page for a person.
+    """Return a page.
 
     Args:
-        request: What is answered.
+        request: The request that is answered.
         template: Name of a template in `hil/dashboard/templates`; extends `base.html.j2`.
         status: HTTP status.
-        **context: What the template shows; `title` is wanted by the base.
+        **context: Values of the template; the base needs `title`.
     """
     settings = settings_of(request)
     html = (
@@ -77,61 +83,13 @@ def page(request: Request, template: str, *, status: int = 200, **context: Any) 
             here=request.url.path,
             settings=settings,
             csrf=settings.csrf,
-            who=who_of(request),
-            live=going_on(settings),
-            planned=being_planned(settings),
+            who=operator_of(request),
+            live=live_headers(settings),
+            planned=pending_starts(settings),
             **context,
         )
     )
     return HTMLResponse(utf8_text(html), status)
-
-
-def as_json(document: Any, status: int = 200) -> Response:
-    """Return an answer to a program."""
-    return Response(json_text(document), status, media_type="application/json")
-
-
-def refused(request: Request, error: Exception) -> Response:
-    """What went wrong, as a page or, for programs, as JSON."""
-    status, message, hint = _told(error)
-    if "text/html" not in request.headers.get("accept", ""):
-        return as_json({"error": message, "hint": hint}, status)
-    title = HTTPStatus(status).phrase
-    told = {"title": title, "message": message, "hint": hint}
-    try:
-        return page(request, "error.html.j2", status=status, **told)
-    except Exception:  # what every page shows is itself what cannot be read
-        return HTMLResponse(utf8_text(_bare(**told)), status)
-
-
-def _bare(title: str, message: str, hint: str) -> str:
-    """A page that needs nothing of the disk."""
-    return (
-        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{escape(title)}</title>'
-        f"<h1>{escape(title)}</h1><p>{escape(message)}</p><p>{escape(hint)}</p>"
-        "<p>Live runs cannot be listed here: stop one with <code>hil stop</code>.</p>"
-        '<p><a href="/">Overview</a></p></html>'
-    )
-
-
-def _told(error: Exception) -> tuple[int, str, str]:
-    if isinstance(error, HilError):
-        return _STATUS.get(type(error).__name__, 409), error.message, error.hint or ""
-    if isinstance(error, Forbidden):
-        return 403, str(error), ""
-    if isinstance(error, OSError):
-        where = f"{error.filename}: " if error.filename else ""
-        told = f"cannot read or write {where}{error.strerror or error}"
-        return 500, told, "see whether it exists, may be read and written, and the disk has room"
-    if isinstance(error, HTTPException):
-        return error.status_code, *_HTTP.get(error.status_code, (error.detail, ""))
-    # A mistake of ours on one page: whoever watches a run still has all others, and Stop.
-    told = f"this page could not be made: {type(error).__name__}: {error}"
-    return 500, told, "the terminal of hil serve has the details"
-
-
-_HTTP = {404: ("there is no such page", "the navigation above leads to all there are")}
-_STATUS = {"DataError": 404, "SpecError": 422, "RegistryError": 404}
 
 
 @cache
@@ -146,12 +104,53 @@ def _environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    made.filters["quoted"] = lambda told: shell_word(str(told))  # for commands to be copied
+    made.filters["quoted"] = lambda text: shell_word(str(text))  # of commands to copy
     return made
 
 
-def _user() -> str:
+def as_json(document: Any, status: int = 200) -> Response:
+    """Return an answer to a program."""
+    return Response(json_text(document), status, media_type="application/json")
+
+
+def error_page(request: Request, error: Exception) -> Response:
+    """Return what went wrong, as a page or, for programs, as JSON."""
+    status, message, hint = _explained(error)
+    if "text/html" not in request.headers.get("accept", ""):
+        return as_json({"error": message, "hint": hint}, status)
+    title = HTTPStatus(status).phrase
+    texts = {"title": title, "message": message, "hint": hint}
     try:
-        return getpass.getuser()
-    except (KeyError, OSError):  # a user without a name
-        return "somebody"
+        return page(request, "error.html.j2", status=status, **texts)
+    except Exception:  # the bar of live runs is itself what cannot be read
+        return HTMLResponse(utf8_text(_bare(**texts)), status)
+
+
+def _bare(title: str, message: str, hint: str) -> str:
+    """Return a page for which nothing is read from the disk."""
+    return (
+        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{escape(title)}</title>'
+        f"<h1>{escape(title)}</h1><p>{escape(message)}</p><p>{escape(hint)}</p>"
+        "<p>Live runs cannot be listed here: stop one with <code>hil stop</code>.</p>"
+        '<p><a href="/">Overview</a></p></html>'
+    )
+
+
+_HTTP = {404: ("there is no such page", "the navigation above leads to all there are")}
+_STATUS = {"DataError": 404, "SpecError": 422, "RegistryError": 404}
+
+
+def _explained(error: Exception) -> tuple[int, str, str]:
+    if isinstance(error, HilError):
+        return _STATUS.get(type(error).__name__, 409), error.message, error.hint or ""
+    if isinstance(error, Forbidden):
+        return 403, str(error), ""
+    if isinstance(error, OSError):
+        where = f"{error.filename}: " if error.filename else ""
+        message = f"cannot read or write {where}{error.strerror or error}"
+        return 500, message, "see whether it exists, may be read and written, and the disk has room"
+    if isinstance(error, HTTPException):
+        return error.status_code, *_HTTP.get(error.status_code, (error.detail, ""))
+    # A mistake of ours on one page: an operator still has all others, and Stop.
+    message = f"this page could not be made: {type(error).__name__}: {error}"
+    return 500, message, "the terminal of hil serve has the details"

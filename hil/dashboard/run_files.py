@@ -1,131 +1,198 @@
-"""Files of runs: its pages, shut in so that they cannot act as the dashboard, and downloads.
+"""Runs and their files by address: all that a request may read of the folder of runs.
 
-A run may have come from elsewhere. Its pages are served at addresses like those on the disk, so
-that links between them lead where they should.
+The path of an address becomes a path on the disk in two functions only: `folder_at` (any folder
+below the folder of runs, links followed, nothing outside) and `require_run` (a run directory). The
+other way round, `run_name` and `run_address` raise ValueError for what lies elsewhere.
+
+A run may have come from another computer, with pages that anybody has written. They are served at
+addresses like their paths on the disk, so that links between them work, and in a sandbox, so that
+their scripts cannot act as the dashboard.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from starlette.convertors import PathConvertor, register_url_convertor
 from starlette.requests import Request
 from starlette.responses import FileResponse, Response
 from starlette.routing import Route
 
-from hil.core import DataError, name_read, name_text, quoted
-from hil.dashboard.places import address_of, run_at
-from hil.dashboard.rendering import settings_of
-from hil.dashboard.settings import Settings
+from hil.core import DataError, HilError, name_read, name_text, quoted, read_json
+from hil.dashboard.settings import Settings, settings_of
 from hil.recording import number_of
 from hil.report import REPORT_FILE, size
 
-SHUT_IN = {
-    "Content-Security-Policy": "sandbox allow-scripts allow-popups; default-src 'none'; "
-    "script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:; font-src data:",
-    # Browsers show nothing at all that is both shut in and has a group of windows of its own.
-    "Cross-Origin-Opener-Policy": "unsafe-none",
-}
-"""Of pages that are not ours: their scripts run, in an origin of nobody's."""
 
-FOLDERS = ("recording", "fit", "study")
-MOST_LISTED = 300
-DEEP = 3
-"""Folders of a run below that of all: day, robot, run."""
+class Place(PathConvertor):
+    """Part of an address such as `2026-11-22/ur5/0042-dwell`; names may have line breaks."""
+
+    regex = r"[\s\S]*"
 
 
-def report_of(request: Request) -> Response:
-    """The report of a run."""
-    run = require_run(request.path_params["name"], settings_of(request))
-    hint = f"make it with: hil report {run.name}"
-    return shut_in(_inside(run, REPORT_FILE, hint))
+register_url_convertor("place", Place())
 
 
-def page_of(request: Request) -> Response:
-    """Any page below the folder of runs: of a run, a fleet, a series or a simulation."""
-    settings, (folder, _, name) = settings_of(request), request.path_params["page"].rpartition("/")
-    return shut_in(_inside(run_at(folder, settings), f"{name}.html", "look at /runs"))
+def run_name(run: Path, settings: Settings) -> str:
+    """Return where a run is below the folder of runs, such as `2026-11-22/ur5/0042-dwell`.
+
+    As text that a page can show; `hil.core.text.name_read` gives the name on the disk.
+
+    Raises:
+        ValueError: It is elsewhere, such as behind a link.
+    """
+    return name_text(_below(run, settings))
 
 
-def file_of(request: Request) -> Response:
-    """A file of a run, to be kept."""
-    run = require_run(request.path_params["name"], settings_of(request))
-    named = request.query_params.get("path", "")
-    path = run / name_read(named)
-    if path not in files_in(run):
-        raise DataError(f"{run.name} has no file {named!r}", hint="its page lists those it has")
-    return FileResponse(path, media_type="application/octet-stream", filename=name_text(path.name))
+def _below(folder: Path, settings: Settings) -> Path:
+    return folder.resolve().relative_to(settings.runs.resolve())
+
+
+def run_address(run: Path, settings: Settings) -> str:
+    """Return the path of the page of a run.
+
+    Raises:
+        ValueError: It is elsewhere, see `run_name`.
+    """
+    return f"/runs/{quoted(_below(run, settings))}"
+
+
+def folder_at(name: str, settings: Settings) -> Path:
+    """Return the folder of an address, below the folder of runs.
+
+    Raises:
+        DataError: There is none, or it is outside the folder of runs.
+    """
+    root = settings.runs.resolve()
+    try:
+        path = (root / name).resolve()
+        there = path.is_dir()
+    except (OSError, ValueError):  # no file system takes the name: too long; with a NUL
+        there = False
+    if not there or not path.is_relative_to(root) or path == root:
+        raise DataError(f"there is no run {name} in {settings.runs}", hint="look at /runs")
+    return path
+
+
+RUN_DEPTH = 3
+"""Folders from the folder of runs to a run: day, robot, run."""
 
 
 def require_run(name: str, settings: Settings) -> Path:
-    """The run directory of an address, damaged or not.
+    """Return the run directory of an address, damaged or not.
 
     Raises:
         DataError: There is none.
     """
-    run = run_at(name, settings)
+    run = folder_at(name, settings)
     # A day has a number, too, but is not where runs are.
-    in_place = number_of(run) and len(run.relative_to(settings.runs.resolve()).parts) == DEEP
+    in_place = number_of(run) and len(run.relative_to(settings.runs.resolve()).parts) == RUN_DEPTH
     if not in_place and not (run / "start.json").is_file():
         raise DataError(f"there is no run {name} in {settings.runs}", hint="look at /runs")
     return run
 
 
 def report_address(run: Path, settings: Settings) -> str:
-    """Where the report of a run is served; empty where there is none."""
+    """Return the path of the report of a run; empty if it has none."""
     there = (run / REPORT_FILE).is_file()
-    return f"{address_of(run, settings)}/report" if there else ""
+    return f"{run_address(run, settings)}/report" if there else ""
 
 
-def shut_in(path: Path) -> Response:
-    """A page of somebody else, unable to do what ours can."""
-    return FileResponse(path, media_type="text/html; charset=utf-8", headers=SHUT_IN)
+def run_named(folder: str, settings: Settings, uid: str = "") -> Path | None:
+    """Return the run that a document names; None if it is not served here.
+
+    The folder of runs may have been moved since: the end of the path is looked for in it.
+
+    Args:
+        folder: Where the run was when the document was written.
+        settings: What is served.
+        uid: Identity of the run; empty if the document has none.
+    """
+    root, path = settings.runs.resolve(), Path(folder)
+    if not folder:
+        return None
+    with contextlib.suppress(OSError, ValueError):
+        if path.is_dir() and path.resolve().is_relative_to(root):
+            return path.resolve()
+    if not uid and path.parts[-4:-3] != (root.name,):
+        return None
+    below = range(1, len(path.parts)) if uid else (len(path.parts) - 3,)
+    for first in below:
+        with contextlib.suppress(HilError, OSError, ValueError):
+            here = root.joinpath(*path.parts[first:])
+            found = read_json(here / "start.json").get("uid")
+            if found == uid or not uid:
+                return here
+    return None
+
+
+def run_link(folder: str, settings: Settings, uid: str = "") -> dict[str, str]:
+    """Return `text` and `address` of a run that a document names; no address if it is not here."""
+    run = run_named(folder, settings, uid)
+    address = ""
+    with contextlib.suppress(ValueError):
+        address = run_address(run, settings) if run else ""
+    return {"text": Path(folder).name, "address": address}
+
+
+SANDBOX = {
+    "Content-Security-Policy": "sandbox allow-scripts allow-popups; default-src 'none'; "
+    "script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:; font-src data:",
+    # Browsers show nothing at all that is both sandboxed and has a group of windows of its own.
+    "Cross-Origin-Opener-Policy": "unsafe-none",
+}
+"""Headers of pages that are not ours: their scripts run in an opaque origin."""
+
+FOLDERS = ("recording", "fit", "study")
+MOST_LISTED = 300
+
+
+def report(request: Request) -> Response:
+    """Show the report of a run."""
+    run = require_run(request.path_params["name"], settings_of(request))
+    return _sandboxed(run, REPORT_FILE, f"make it with: hil report {run.name}")
+
+
+def html_page(request: Request) -> Response:
+    """Show any page below the folder of runs: of a run, a fleet, a series or a simulation."""
+    settings, (folder, _, name) = settings_of(request), request.path_params["page"].rpartition("/")
+    return _sandboxed(folder_at(folder, settings), f"{name}.html", "look at /runs")
+
+
+def _sandboxed(folder: Path, name: str, hint: str) -> Response:
+    path = folder / name
+    if path.is_symlink() or not path.is_file():
+        raise DataError(f"{folder.name} has no {name}", hint=hint)
+    return FileResponse(path, media_type="text/html; charset=utf-8", headers=SANDBOX)
+
+
+def download(request: Request) -> Response:
+    """Send a file of a run, as an attachment."""
+    run = require_run(request.path_params["name"], settings_of(request))
+    name = request.query_params.get("path", "")
+    path = run / name_read(name)
+    if path not in files_in(run):
+        raise DataError(f"{run.name} has no file {name!r}", hint="its page lists those it has")
+    return FileResponse(path, media_type="application/octet-stream", filename=name_text(path.name))
 
 
 def files_in(run: Path) -> list[Path]:
-    """Files that belong to a run, by name; neither links nor what is hidden."""
+    """Return the files that belong to a run, by name; neither links nor hidden files."""
     found = _plain_files(run)
     for name in FOLDERS:
         found += _plain_files(run / name)
         for folder in _folders(run / name):
             found += _plain_files(folder)
-    # A folder of the run, too, may be a link: to all that the dashboard's user may read.
+    # A folder of the run may itself be a link, to all that the dashboard's user may read.
     return [path for path in found if _is_below(path, run)]
-
-
-def listed_files(run: Path, settings: Settings) -> list[dict[str, Any]]:
-    """`name`, `size` in words, and `address` of a run's files, the first of them."""
-    where = address_of(run, settings)
-    found = []
-    for path in files_in(run)[:MOST_LISTED]:
-        name = name_text(path.relative_to(run))
-        address = f"{where}/file?path={quoted(name)}"
-        found.append({"name": name, "size": _size(path), "address": address})
-    return found
-
-
-def _inside(folder: Path, name: str, hint: str) -> Path:
-    path = folder / name
-    if path.is_symlink() or not path.is_file():
-        raise DataError(f"{folder.name} has no {name}", hint=hint)
-    return path
-
-
-def _is_below(path: Path, run: Path) -> bool:
-    try:
-        return path.resolve(strict=True).is_relative_to(run.resolve())
-    except (OSError, RuntimeError):  # gone meanwhile; links in a ring
-        return False
 
 
 def _plain_files(folder: Path) -> list[Path]:
     return sorted(Path(entry) for entry in _entries(folder) if entry.is_file(follow_symlinks=False))
-
-
-def _folders(folder: Path) -> list[Path]:
-    return sorted(Path(entry) for entry in _entries(folder) if entry.is_dir(follow_symlinks=False))
 
 
 def _entries(folder: Path) -> Iterator[os.DirEntry[str]]:
@@ -136,6 +203,28 @@ def _entries(folder: Path) -> Iterator[os.DirEntry[str]]:
         return
 
 
+def _folders(folder: Path) -> list[Path]:
+    return sorted(Path(entry) for entry in _entries(folder) if entry.is_dir(follow_symlinks=False))
+
+
+def _is_below(path: Path, run: Path) -> bool:
+    try:
+        return path.resolve(strict=True).is_relative_to(run.resolve())
+    except (OSError, RuntimeError):  # gone meanwhile; links in a ring
+        return False
+
+
+def listed_files(run: Path, settings: Settings) -> list[dict[str, Any]]:
+    """Return `name`, `size` in words and `address` of a run's files, the first of them."""
+    where = run_address(run, settings)
+    found = []
+    for path in files_in(run)[:MOST_LISTED]:
+        name = name_text(path.relative_to(run))
+        address = f"{where}/file?path={quoted(name)}"
+        found.append({"name": name, "size": _size(path), "address": address})
+    return found
+
+
 def _size(path: Path) -> str:
     try:
         return size(path.stat().st_size)
@@ -144,7 +233,7 @@ def _size(path: Path) -> str:
 
 
 routes = [
-    Route("/runs/{name:place}/report", report_of),
-    Route("/runs/{name:place}/file", file_of),
-    Route("/runs/{page:place}.html", page_of),
+    Route("/runs/{name:place}/report", report),
+    Route("/runs/{name:place}/file", download),
+    Route("/runs/{page:place}.html", html_page),
 ]

@@ -1,4 +1,8 @@
-"""Who may look and who may act: host names, a token, forms of our own, and nothing from elsewhere.
+"""Who may look and who may act: host names, a token, the origin of a request, and forms of our own.
+
+`Guard` judges every request before anything else does: the name it was sent to, the token, whether
+the dashboard is read-only, the site it comes from. `form_of` reads the fields of a form that one of
+our pages has made.
 
 A page of another site can make a browser post anything to any address, also on loopback; it can
 neither read our pages nor show what only they know (`Settings.csrf`). A site whose name is made to
@@ -43,15 +47,15 @@ HEADERS = {
 
 
 class Forbidden(Exception):
-    """What was asked may not be asked so; a file that may not be read is another matter."""
+    """A request that may not be sent so; not a file that may not be read (OSError)."""
 
 
 class Guard:
     """ASGI middleware before everything else.
 
     Args:
-        app: What is guarded.
-        settings: Names, token and whether anything may be asked.
+        app: The application behind it.
+        settings: Host names, token and whether the dashboard is read-only.
     """
 
     def __init__(self, app: ASGIApp, settings: Settings) -> None:
@@ -71,29 +75,29 @@ class Guard:
             scope["path"] = os.fsdecode(unquote_to_bytes(raw))
         try:
             refusal = self._refusal(scope)
-        except Exception:  # a page for that would show runs to whoever has shown no token
+        except Exception:  # an error page would show runs to a visitor without the token
             _LOG.exception("the guard could not judge a request")
-            refusal = _said(400, "this request cannot be understood")
+            refusal = _text(400, "this request cannot be understood")
         await (refusal or self._app)(scope, receive, _with_headers(send))
 
     def _refusal(self, scope: Scope) -> Response | None:
         headers = Headers(scope=scope)
         if not self._settings.knows(headers.get("host", "")):
-            return _said(421, "this dashboard is not called by that name; see hil serve --name")
-        if (answer := self._unknown(scope, headers)) is not None:
+            return _text(421, "this dashboard is not called by that name; see hil serve --name")
+        if (answer := self._token_refusal(scope, headers)) is not None:
             return answer
         if headers.get("upgrade", "").strip().lower() == "websocket":
-            return _said(400, "this dashboard has no WebSockets: its events are at /events")
+            return _text(400, "this dashboard has no WebSockets: its events are at /events")
         if scope["method"] in SAFE:
             return None
         if self._settings.read_only:
-            return _said(403, "this dashboard is read-only: nothing can be asked of a run here")
+            return _text(403, "this dashboard is read-only: nothing can be asked of a run here")
         if not _same_origin(headers):
-            return _said(403, "asked by another site: use the pages of the dashboard itself")
+            return _text(403, "asked by another site: use the pages of the dashboard itself")
         return None
 
-    def _unknown(self, scope: Scope, headers: Headers) -> Response | None:
-        """What to answer a visitor who has not shown the token; None for one who has."""
+    def _token_refusal(self, scope: Scope, headers: Headers) -> Response | None:
+        """Return the answer to a visitor who has not shown the token; None for one who has."""
         token, cookie = self._settings.token, self._settings.cookie
         if not token or _equal(_cookies(headers).get(cookie, ""), token):
             return None
@@ -110,19 +114,19 @@ class Guard:
                 secure=scope["scheme"] == "https",
             )  # fmt: skip
             return answer
-        return _said(401, "open the address that hil serve has printed: it carries the token")
+        return _text(401, "open the address that hil serve has printed: it carries the token")
 
 
 async def form_of(request: Request, *, old: bool = False) -> dict[str, str]:
-    """The fields of one of our own forms.
+    """Return the fields of one of our own forms.
 
     Args:
-        request: What was sent.
-        old: Take it also from a page that an earlier dashboard made, if a browser says that it is
-            of this address: whoever presses Stop must not have to reload first.
+        request: The request with the form.
+        old: Accept it also from a page that an earlier dashboard process made, if the browser sends
+            the origin: an operator who presses Stop must not have to reload first.
 
     Raises:
-        Forbidden: It was not made by us, or is too long.
+        Forbidden: It is not of a page of ours, or is too long.
     """
     raw = b""
     async for chunk in request.stream():
@@ -145,15 +149,15 @@ def _equal(shown: str, secret: str) -> bool:
 
 
 def _same_origin(headers: Headers) -> bool:
-    """Browsers say where a request comes from; what says nothing is no browser's page."""
+    """Return whether a page of ours sent a request; programs, unlike browsers, send no origin."""
     if headers.get("sec-fetch-site", "same-origin") not in ("same-origin", "none"):
         return False
     origin = headers.get("origin")
-    return origin is None or _place(origin) == headers.get("host", "")
+    return origin is None or _host_of(origin) == headers.get("host", "")
 
 
-def _place(origin: str) -> str:
-    """Host and port of an origin, empty where it is none."""
+def _host_of(origin: str) -> str:
+    """Return host and port of an origin; empty if it is none."""
     try:
         return urlsplit(origin).netloc
     except ValueError:
@@ -168,7 +172,7 @@ def _cookies(headers: Headers) -> dict[str, str]:
     return {name: morsel.value for name, morsel in found.items()}
 
 
-def _said(status: int, text: str) -> PlainTextResponse:
+def _text(status: int, text: str) -> PlainTextResponse:
     return PlainTextResponse(text + "\n", status)
 
 

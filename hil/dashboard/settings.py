@@ -1,4 +1,8 @@
-"""What a dashboard shows, and who may do what with it."""
+"""Settings of a dashboard: the folders it shows, the address it listens on, and who may do what.
+
+`is_loopback` and `is_wildcard` decide about the token: on loopback none is needed, elsewhere one is
+made if the user gives none.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +12,10 @@ import secrets
 import socket
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
 
 LOOPBACK = "127.0.0.1"
 DEFAULT_PORT = 8350
@@ -16,7 +24,7 @@ _HOST = re.compile(r"(\[[^\[\]]*\]|[^\[\]:]+)(:[0-9]*)?")
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """One dashboard.
+    """Settings of one dashboard.
 
     Attributes:
         runs: The folder of runs.
@@ -24,12 +32,12 @@ class Settings:
         specs: Folder below which specs, stations and schedules are offered; None offers none.
         schedules: Where schedules keep their state, `schedules/NAME` by default.
         host: Address it listens on.
-        port: Port it listens on, 0 while nobody knows.
-        names: Host names besides `host` under which it may be called.
-        token: What a visitor has to show; empty where everybody who reaches it may look.
-        token_given: The token is somebody's own, who knows it: it is printed nowhere.
-        read_only: Nothing can be asked of a run, none be started.
-        csrf: Shown by every form of ours, and known to no other site.
+        port: Port it listens on; 0 until it is known.
+        names: Host names besides `host` by which browsers may call it.
+        token: Token that a visitor has to show; empty if all who reach it may look.
+        token_given: Whether the user has chosen the token; then it is printed nowhere.
+        read_only: Whether starting, stopping and answering are refused.
+        csrf: Secret in every form of ours, which no other site can read.
     """
 
     runs: Path
@@ -46,21 +54,21 @@ class Settings:
 
     @property
     def loopback(self) -> bool:
-        """Whether only this computer reaches it."""
+        """Return whether only this computer reaches it."""
         return is_loopback(self.host)
 
     @property
     def called(self) -> tuple[str, ...]:
-        """Names besides `host`: those given, and for a wildcard that of this computer."""
+        """Names besides `host`: `names`, and for a wildcard that of this computer."""
         return (*self.names, socket.gethostname()) if is_wildcard(self.host) else self.names
 
     @property
     def cookie(self) -> str:
-        """Name of the cookie; browsers do not tell the ports of one host apart."""
+        """Name of the token's cookie: with the port, as a browser shares cookies between ports."""
         return f"hil_{self.port}"
 
     def knows(self, host: str) -> bool:
-        """Whether a request's `Host` is one of ours: a foreign name that leads here is an attack.
+        """Return whether a `Host` header is a name of ours; a foreign name that leads here attacks.
 
         Args:
             host: As the browser sent it, with or without a port.
@@ -73,12 +81,18 @@ class Settings:
             address = ipaddress.ip_address(name.strip("[]"))
         except ValueError:
             return False
-        # No DNS is asked for an address, so nobody can lend it another meaning.
+        # An address is not looked up by DNS, so it cannot be made to lead elsewhere.
         return address.is_loopback or not self.loopback
 
 
+def settings_of(request: Request) -> Settings:
+    """Return the settings of the dashboard that a request has reached."""
+    settings: Settings = request.app.state.settings
+    return settings
+
+
 def is_loopback(host: str) -> bool:
-    """Whether an address or name is that of this computer for itself."""
+    """Return whether an address or name is a loopback one."""
     if host == "localhost":
         return True
     try:
@@ -88,7 +102,7 @@ def is_loopback(host: str) -> bool:
 
 
 def is_wildcard(host: str) -> bool:
-    """Whether it stands for every address of this computer, and is none to be opened."""
+    """Return whether it stands for every address of this computer; a browser cannot open it."""
     try:
         return not host or ipaddress.ip_address(host).is_unspecified
     except ValueError:

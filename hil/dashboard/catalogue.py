@@ -1,4 +1,4 @@
-"""The catalogue: all runs, searched as `hil runs QUERY` searches."""
+"""The catalogue: all runs, searched as `hil runs QUERY` searches, and sorted by a column."""
 
 from __future__ import annotations
 
@@ -14,10 +14,9 @@ from starlette.responses import Response
 from starlette.routing import Route
 
 from hil.core import DataError, SpecError
-from hil.dashboard.places import address_of
-from hil.dashboard.rendering import page, settings_of
-from hil.dashboard.run_files import report_address
-from hil.dashboard.settings import Settings
+from hil.dashboard.rendering import page
+from hil.dashboard.run_files import report_address, run_address
+from hil.dashboard.settings import Settings, settings_of
 from hil.report import ENDINGS, duration, measure, when
 from hil.runs import find_runs, started_s
 
@@ -25,7 +24,7 @@ PER_PAGE = 50
 
 Entry = dict[str, Any]
 
-_ORDERS: dict[str, tuple[str, Callable[[Entry], Any]]] = {
+ORDERS: dict[str, tuple[str, Callable[[Entry], Any]]] = {
     "run": ("run", lambda run: (run["number"], started_s(run) or 0.0)),
     "name": ("experiment", lambda run: run["name"].casefold()),
     "robot": ("robot", lambda run: (run["robot"], run["serial"])),
@@ -34,10 +33,9 @@ _ORDERS: dict[str, tuple[str, Callable[[Entry], Any]]] = {
     "duration": ("duration", lambda run: run["duration_s"] or 0.0),
     "rmse": ("RMSE, held out", lambda run: _least(run)[0]),
 }
-"""What can be sorted by: heading, and what is compared."""
+"""Columns that sort: heading, and what is compared."""
 
-_FIRST_DOWN = ("run", "duration")
-_VERDICTS = {"passed": "pass", "rejected": "fail"}
+DESCENDING_FIRST = ("run", "duration")
 
 EXAMPLES = (
     ("robot=ur5-*", "robots by name, * for anything"),
@@ -53,44 +51,51 @@ EXAMPLES = (
 
 
 def catalogue(request: Request) -> Response:
-    """Runs that meet a query, a page of them."""
-    settings, asked = settings_of(request), request.query_params
-    query, by = asked.get("q", "").strip(), asked.get("sort", "run")
-    by = by if by in _ORDERS else "run"
-    down = asked.get("order", "down" if by in _FIRST_DOWN else "up") == "down"
-    found, message, hint = _found(query, settings)
-    found.sort(key=_ORDERS["run"][1], reverse=True)  # what is alike stays newest first
-    found.sort(key=_ORDERS[by][1], reverse=down)
-    pages = max(1, math.ceil(len(found) / PER_PAGE))
-    at = min(max(_whole(asked.get("page", "1")), 1), pages)
-    shown = found[(at - 1) * PER_PAGE : at * PER_PAGE]
+    """Show runs that meet a query, a page of them."""
+    settings, parameters = settings_of(request), request.query_params
+    query, by = parameters.get("q", "").strip(), parameters.get("sort", "run")
+    by = by if by in ORDERS else "run"
+    down = parameters.get("order", _first_order(by)) == "down"
+    runs: list[Entry] = []
+    message = hint = ""
+    try:
+        runs = find_runs(*_terms(query), runs=settings.runs)
+    except (SpecError, DataError) as error:
+        message, hint = error.message, error.hint or ""
+    runs.sort(key=ORDERS["run"][1], reverse=True)  # among equals the newest come first
+    runs.sort(key=ORDERS[by][1], reverse=down)
+    pages = max(1, math.ceil(len(runs) / PER_PAGE))
+    asked = parameters.get("page", "1")
+    at = min(max(int(asked) if asked.isdecimal() and len(asked) < 9 else 1, 1), pages)
+    first = (at - 1) * PER_PAGE
+    shown = runs[first : first + PER_PAGE]
     keep = {"q": query, "sort": by, "order": "down" if down else "up"}
     return page(
         request, "catalogue.html.j2", title="Runs", status=422 if message else 200,
-        query=query, message=message, hint=hint, examples=EXAMPLES, count=len(found),
+        query=query, message=message, hint=hint, examples=EXAMPLES, count=len(runs),
         runs=[_row(run, settings) for run in shown], sort=by, down=down,
-        columns=[_column(key, title, keep) for key, (title, _) in _ORDERS.items()],
-        at=at, pages=pages, first=(at - 1) * PER_PAGE + 1, last=(at - 1) * PER_PAGE + len(shown),
+        columns=[_column(key, title, keep) for key, (title, _) in ORDERS.items()],
+        at=at, pages=pages, first=first + 1, last=first + len(shown),
         newer=_address(keep, at - 1) if at > 1 else "",
         older=_address(keep, at + 1) if at < pages else "",
     )  # fmt: skip
 
 
+routes = [Route("/runs", catalogue)]
+
+
 def status_mark(status: str) -> str:
-    """The badge of how a run ended."""
+    """Return the badge's style for how a run ended."""
     return "live" if status == "running" else ENDINGS.get(status, ("", ""))[1] or "quiet"
 
 
-def _found(query: str, settings: Settings) -> tuple[list[dict[str, Any]], str, str]:
-    """Entries, and what is wrong with the query, and how to mend it."""
-    try:
-        return find_runs(*_terms(query), runs=settings.runs), "", ""
-    except (SpecError, DataError) as error:
-        return [], error.message, error.hint or ""
+def verdict_mark(verdict: str) -> str:
+    """Return the badge's style for a verdict."""
+    return {"passed": "pass", "rejected": "fail"}.get(verdict, "quiet")
 
 
 def _terms(query: str) -> list[str]:
-    """As a shell would part them; with quotes that do not end, at every blank."""
+    """Split a query as a shell would; at every blank if its quotes do not close."""
     try:
         return shlex.split(query)
     except ValueError:
@@ -99,7 +104,10 @@ def _terms(query: str) -> list[str]:
 
 def _row(run: Entry, settings: Settings) -> dict[str, Any]:
     path = Path(run["run"])
-    address, report = _addresses(path, settings)
+    try:
+        address, report = run_address(path, settings), report_address(path, settings)
+    except ValueError:  # a link leads out of the folder of runs
+        address = report = ""
     error, unit, estimator = _least(run)
     return {
         "name": path.name,
@@ -113,23 +121,15 @@ def _row(run: Entry, settings: Settings) -> dict[str, Any]:
         "status_mark": status_mark(run["status"]),
         "problem": run["problem"],
         "verdict": run["verdict"],
-        "verdict_mark": _VERDICTS.get(run["verdict"], "quiet"),
+        "verdict_mark": verdict_mark(run["verdict"]),
         "duration": duration(run["duration_s"]),
         "error": measure(error, unit) if estimator and math.isfinite(error) else "",
         "estimator": estimator,
     }
 
 
-def _addresses(run: Path, settings: Settings) -> tuple[str, str]:
-    """Of its page and its report; none where a link leads out of the folder of runs."""
-    try:
-        return address_of(run, settings), report_address(run, settings)
-    except ValueError:
-        return "", ""
-
-
 def _least(run: Entry) -> tuple[float, str, str]:
-    """Smallest error on held-out data, its unit and the estimator; infinite without one."""
+    """Return the smallest error on held-out data, its unit and estimator; infinite without one."""
     known = [fit for fit in run["fits"] if fit["rmse"] is not None]
     if not known:
         return math.inf, "", ""
@@ -138,24 +138,18 @@ def _least(run: Entry) -> tuple[float, str, str]:
 
 
 def _column(key: str, title: str, keep: Mapping[str, str]) -> dict[str, str]:
-    """A heading that sorts; a second time the other way round."""
-    now = keep["sort"] == key
-    turned = {"up": "down", "down": "up"}[keep["order"]] if now else _first(key)
-    sorted_so = {"up": "ascending", "down": "descending"}[keep["order"]] if now else ""
+    """Return a heading that sorts; by the column that sorts now, the other way round."""
+    order, turned = "", _first_order(key)
+    if keep["sort"] == key:
+        order = {"up": "ascending", "down": "descending"}[keep["order"]]
+        turned = {"up": "down", "down": "up"}[keep["order"]]
     address = "/runs?" + urlencode({"q": keep["q"], "sort": key, "order": turned})
-    return {"key": key, "title": title, "address": address, "sorted": sorted_so}
+    return {"key": key, "title": title, "address": address, "sorted": order}
 
 
-def _first(key: str) -> str:
-    return "down" if key in _FIRST_DOWN else "up"
+def _first_order(key: str) -> str:
+    return "down" if key in DESCENDING_FIRST else "up"
 
 
 def _address(keep: Mapping[str, str], at: int) -> str:
     return "/runs?" + urlencode({**keep, "page": at})
-
-
-def _whole(text: str) -> int:
-    return int(text) if text.isdecimal() and len(text) < 9 else 1
-
-
-routes = [Route("/runs", catalogue)]

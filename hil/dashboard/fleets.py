@@ -1,0 +1,142 @@
+"""Fleets: one experiment on many robots of a station, robot by robot.
+
+What is known of a robot is what its run says now; of one that has no run here, what the fleet's
+document says.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.routing import Route
+
+from hil.core import DataError, HilError, holder_of, shell_word
+from hil.dashboard.catalogue import status_mark, verdict_mark
+from hil.dashboard.rendering import page
+from hil.dashboard.run_files import folder_at, report_address, run_address, run_name, run_named
+from hil.dashboard.settings import Settings, settings_of
+from hil.models import PAGE, FleetFolder, is_fleet_folder
+from hil.recording import folders_in
+from hil.report import as_object, counted, when
+from hil.runs import listing_of
+
+MOST_LISTED = 200
+
+
+def fleets(request: Request) -> Response:
+    """Show all fleets, newest first."""
+    settings, problems = settings_of(request), list[str]()
+    found = list(_folders(settings.runs))
+    rows = [_row(path, settings, problems) for path in found[:MOST_LISTED]]
+    return page(
+        request, "fleets.html.j2", title="Fleets", problems=problems,
+        fleets=[row for row in rows if row], left_out=max(0, len(found) - MOST_LISTED),
+    )  # fmt: skip
+
+
+def _folders(runs: Path) -> Iterator[Path]:
+    """Yield the folders of fleets, the newest day first."""
+    for day in reversed(folders_in(runs)):
+        yield from (one for one in reversed(folders_in(day / "fleet")) if is_fleet_folder(one))
+
+
+def _row(path: Path, settings: Settings, problems: list[str]) -> dict[str, Any] | None:
+    try:
+        opened, members = FleetFolder.open(path)
+        address = f"/fleets{run_address(path, settings).removeprefix('/runs')}"
+    except HilError as error:
+        problems.append(error.message)
+        return None
+    except ValueError:  # a link that leads out of the folder of runs
+        return None
+    return {
+        "name": str(opened.head.get("name") or path.name),
+        "folder": run_name(path, settings),
+        "address": address,
+        "page": _page_address(path, settings),
+        "started": when(opened.head.get("started")),
+        "robots": len(members),
+        "told": _summary([_documented(one) for one in members]),
+        "live": holder_of(path / ".lock") is not None,
+    }
+
+
+def _page_address(path: Path, settings: Settings) -> str:
+    """Return the path of its own page; empty if none was made."""
+    return f"{run_address(path, settings)}/{PAGE}" if (path / PAGE).is_file() else ""
+
+
+def _summary(rows: list[dict[str, Any]]) -> str:
+    """Return a summary such as `9 completed, 1 not begun; 8 passed`."""
+    ends = Counter(row["status"] for row in rows)
+    verdicts = Counter(row["verdict"] for row in rows if row["verdict"])
+    parts = (", ".join(f"{n} {word}" for word, n in one.items()) for one in (ends, verdicts))
+    return "; ".join(filter(None, parts)) or counted(0, "robot")
+
+
+def _documented(member: Mapping[str, Any]) -> dict[str, str]:
+    """Return what the fleet's document says of a robot; nothing else is opened."""
+    return {
+        "status": str(member.get("outcome") or "not begun"),
+        "verdict": str(member.get("verdict") or ""),
+    }
+
+
+def fleet(request: Request) -> Response:
+    """Show one fleet, robot by robot."""
+    settings, name = settings_of(request), request.path_params["name"]
+    path = folder_at(name, settings)
+    if not is_fleet_folder(path):
+        raise DataError(f"there is no fleet {name} in {settings.runs}", hint="look at /fleets")
+    opened, members = FleetFolder.open(path)
+    held = holder_of(path / ".lock")
+    rows = [_member(one, settings) for one in members]
+    return page(
+        request, "fleet.html.j2", title=str(opened.head.get("name") or path.name),
+        name=run_name(path, settings), started=when(opened.head.get("started")),
+        source=str(opened.head.get("source") or ""), held=str(held) if held else "",
+        told=_summary(rows), members=rows, page_address=_page_address(path, settings),
+        commands=_commands(path, rows, held is not None, settings),
+    )  # fmt: skip
+
+
+def _member(member: Mapping[str, Any], settings: Settings) -> dict[str, Any]:
+    """Return a row of a robot: as its run says now, else as the fleet's document says."""
+    documented = _documented(member)
+    run = run_named(str(member.get("run") or ""), settings, str(member.get("uid") or ""))
+    status = listing_of(run).status if run else documented["status"]
+    return {
+        "robot": str(member["robot"]),
+        "run": Path(str(member.get("run") or "")).name,
+        "address": run_address(run, settings) if run else "",
+        "report": report_address(run, settings) if run else "",
+        "status": status,
+        "status_mark": status_mark(status),
+        "verdict": documented["verdict"],
+        "verdict_mark": verdict_mark(documented["verdict"]),
+        "error": str(as_object(member.get("error")).get("message") or ""),
+    }
+
+
+def _commands(
+    path: Path, rows: list[dict[str, Any]], live: bool, settings: Settings
+) -> list[tuple[str, str]]:
+    where, registry = shell_word(path), f"--registry {shell_word(settings.registry)}"
+    found = []
+    if not live and any(row["status"] != "completed" for row in rows):
+        found.append(("Go on with what ended early or was not begun:", f"hil fleet resume {where}"))
+    fit = f"hil fleet fit {where} --estimator rigid-wls --register {registry}"
+    found.append(("Fit a model to every robot, and register them:", fit))
+    found.append(("Make its page:", f"hil fleet report {where} {registry}"))
+    return found
+
+
+routes = [
+    Route("/fleets", fleets),
+    Route("/fleets/{name:place}", fleet),
+]
