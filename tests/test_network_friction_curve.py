@@ -12,7 +12,7 @@ pytest.importorskip("torch", reason="torch is not installed")
 
 from hil.networks.lagrangian_data import smooth_sign
 from hil.report import run_figures as figures
-from hil.report.run_samples import shown
+from hil.report.predictions import predict_with
 
 CURVES = {
     "stribeck": ("coulomb", "static", "viscous", "offset"),
@@ -52,7 +52,7 @@ def test_memory_and_learned_friction_are_no_curve(case: str) -> None:
 
 
 def test_it_is_drawn_as_a_curve_without_a_band() -> None:
-    motion = shown(lagrangian("stribeck"), moving(9)).friction.in_motion
+    motion = predict_with(lagrangian("stribeck"), moving(9)).friction.in_motion
     names = [curve.name for curve in figures.moving(motion, 0)]
     assert names[1:] == ["without its viscous part", "friction of the model"]
 
@@ -65,7 +65,7 @@ def test_of_physics_whose_networks_were_all_dropped_it_is_that_of_the_physics() 
     none = np.zeros_like(kept.correction_.kept)
     dropped.correction_ = replace(kept.correction_, kept=none)
     assert np.array_equal(dropped.friction_curve(qd).torque, kept.base_.friction_curve(qd).torque)
-    assert shown(dropped, moving(11)).friction.in_motion.law is not None
-    drawn = shown(kept, moving(11)).friction.in_motion
+    assert predict_with(dropped, moving(11)).friction.in_motion.law is not None
+    drawn = predict_with(kept, moving(11)).friction.in_motion
     assert drawn.law is None
     assert drawn.learned

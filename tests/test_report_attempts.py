@@ -13,7 +13,7 @@ from hil.recording import McapWriter
 from hil.report import render_report
 from hil.report.curves import decimated, in_parts
 from hil.report.run_facts import read_facts
-from hil.report.run_samples import read_recording
+from hil.report.run_recording import read_recording
 from hil.robot.state import STATE_TOPIC, state_topic
 
 PAUSE_S = 100.0

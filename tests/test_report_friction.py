@@ -25,8 +25,8 @@ from hil.estimators.rigid_linear import RigidWls
 from hil.estimators.static_model import StaticWls
 from hil.report import run_figures as figures
 from hil.report.page import Page, page_html
+from hil.report.predictions import Predictions, predict_with
 from hil.report.run_report import run_page
-from hil.report.run_samples import Shown, shown
 from hil.spec.load import load_spec
 from hil.studies.figure import Figure
 from hil.workflow.judging import judge_run
@@ -46,8 +46,8 @@ def wls() -> RigidWls:
 
 
 @pytest.fixture(scope="module")
-def seen(wls: RigidWls) -> Shown:
-    return shown(wls, moving(4, noise_a=0.05))
+def seen(wls: RigidWls) -> Predictions:
+    return predict_with(wls, moving(4, noise_a=0.05))
 
 
 def page_of(root, plan) -> Page:
@@ -93,14 +93,14 @@ def test_shapes_add_to_the_standard_error_and_memory_is_no_curve() -> None:
     assert bent.friction_curve(VELOCITIES) is None
 
 
-def test_samples_lie_where_friction_is_known_to_be(seen: Shown) -> None:
+def test_samples_lie_where_friction_is_known_to_be(seen: Predictions) -> None:
     motion = seen.friction.in_motion
     assert seen.friction.unit == "N·m"
     error = motion.measured - truth(motion.qd)
     assert np.sqrt(np.mean(error**2)) == pytest.approx(0.05 * 8.5, rel=0.15)  # noise times gain
 
 
-def test_nothing_is_drawn_beyond_the_velocities_of_the_data(seen: Shown) -> None:
+def test_nothing_is_drawn_beyond_the_velocities_of_the_data(seen: Predictions) -> None:
     motion = seen.friction.in_motion
     curves = figures.moving(motion, 0)
     low, high = (edge(motion.qd[:, 0]) * DEGREES for edge in (np.min, np.max))
@@ -110,7 +110,7 @@ def test_nothing_is_drawn_beyond_the_velocities_of_the_data(seen: Shown) -> None
     assert [curve.name for curve in curves].count("± 2 standard errors, at most") == 2
 
 
-def test_friction_that_is_no_curve_is_drawn_as_its_mean_either_way(seen: Shown) -> None:
+def test_friction_that_is_no_curve_is_drawn_as_its_mean_either_way(seen: Predictions) -> None:
     motion = replace(seen.friction.in_motion, law=None)
     line = figures.moving(motion, 1)[-1]
     assert line.name == "friction of the model, mean"
@@ -122,7 +122,7 @@ def test_friction_that_is_no_curve_is_drawn_as_its_mean_either_way(seen: Shown) 
 
 def test_friction_at_rest_is_what_gravity_leaves_either_side() -> None:
     model = StaticWls().fit(dwelling(60, both=True, stiction_nm=2.0), nominal())
-    rest = shown(model, dwelling(20, seed=9, both=True, stiction_nm=2.0)).friction.at_rest
+    rest = predict_with(model, dwelling(20, seed=9, both=True, stiction_nm=2.0)).friction.at_rest
     assert rest.predicted is None
     for sign in (1, -1):
         assert rest.measured[rest.approach == sign] == pytest.approx(2.0 * sign, abs=0.2)
@@ -131,16 +131,16 @@ def test_friction_at_rest_is_what_gravity_leaves_either_side() -> None:
 def test_models_without_friction_or_by_a_papers_protocol_have_none_to_show() -> None:
     data = dwelling(40, both=True, stiction_nm=2.0)
     paper = StaticWls(form="paper", current_term=True).fit(data, nominal())
-    assert shown(paper, data).friction.at_rest is None
+    assert predict_with(paper, data).friction.at_rest is None
     static = StaticWls().fit(data, nominal())
-    assert shown(static, moving(1)).friction.in_motion is None
+    assert predict_with(static, moving(1)).friction.in_motion is None
 
 
 def test_dwells_of_unknown_approach_tell_nothing_about_friction() -> None:
     data = dwelling(40, both=True)
     unknown = replace(data, conditions=tuple(replace(each, approach=0) for each in data.conditions))
     model = StaticWls().fit(data, nominal())
-    assert shown(model, unknown).friction.at_rest is None
+    assert predict_with(model, unknown).friction.at_rest is None
 
 
 def test_both_stand_on_the_pages_and_are_said_in_words(tmp_path) -> None:

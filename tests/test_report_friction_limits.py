@@ -15,7 +15,7 @@ from hil.estimators.rigid_irls import RigidIrls
 from hil.estimators.rigid_linear import RigidLeastSquares, RigidWls
 from hil.estimators.static_model import StaticWls
 from hil.report import run_figures as figures
-from hil.report.run_samples import Shown, at_rest, in_motion, shown, velocity
+from hil.report.predictions import Predictions, at_rest, in_motion, predict_with, velocity
 
 VELOCITIES = np.linspace(-1.5, 1.5, 31)[:, None] * np.ones(6)
 
@@ -26,8 +26,8 @@ def wls() -> RigidWls:
 
 
 @pytest.fixture(scope="module")
-def seen(wls: RigidWls) -> Shown:
-    return shown(wls, moving(4, noise_a=0.05))
+def seen(wls: RigidWls) -> Predictions:
+    return predict_with(wls, moving(4, noise_a=0.05))
 
 
 @pytest.mark.parametrize(
@@ -44,7 +44,7 @@ def test_no_band_where_the_standard_errors_of_least_squares_are_not_the_methods(
 ) -> None:
     model.fit(moving(1, 2, 3, noise_a=0.05), nominal())
     assert np.isfinite(model.friction_curve(VELOCITIES).std_error).all() == holds
-    motion = shown(model, moving(4, noise_a=0.05)).friction.in_motion
+    motion = predict_with(model, moving(4, noise_a=0.05)).friction.in_motion
     names = [curve.name for curve in figures.moving(motion, 0)]
     assert ("± 2 standard errors, at most" in names) == holds
 
@@ -127,7 +127,7 @@ def test_without_a_recorded_velocity_axes_do_not_run_across_the_borders_of_serie
     t[k:] += t[k - 1] + 1e-4 - t[k]  # the second file begins right after the first
     bare = without(data.with_columns(t=t), "qd", *(() if prepared else PREPARED))
     assert velocity(wls, bare) == pytest.approx(data["qd"], abs=1e-9 if prepared else 0.05)
-    motion = shown(wls, bare).friction.in_motion
+    motion = predict_with(wls, bare).friction.in_motion
     assert motion.law.qd[0] == pytest.approx(data["qd"].min(axis=0), abs=0.05)
     assert motion.law.qd[-1] == pytest.approx(data["qd"].max(axis=0), abs=0.05)
 
@@ -153,13 +153,13 @@ def test_the_line_goes_no_further_than_the_rows_a_model_holds_for(wls: RigidWls)
     assert "model unknown" in figures._ends(motion, figures.moving(motion, 2)[-1], 2, "N·m")
 
 
-def test_what_is_said_of_the_line_is_of_the_terms_it_has(seen: Shown) -> None:
+def test_what_is_said_of_the_line_is_of_the_terms_it_has(seen: Predictions) -> None:
     coulomb = figures._how_to_read(seen.friction.in_motion)
     assert "half its step at zero is Coulomb friction" in coulomb
     assert "the middle of the step is the offset" in coulomb
     assert "static friction" not in coulomb
     bent = RigidDiffnea().fit(moving(1, 2, 3, noise_a=0.05), nominal())
-    stribeck = figures._how_to_read(shown(bent, moving(4)).friction.in_motion)
+    stribeck = figures._how_to_read(predict_with(bent, moving(4)).friction.in_motion)
     assert "half its step at zero is static friction" in stribeck
     assert "is Coulomb friction" not in stribeck
     law = replace(seen.friction.in_motion.law, terms=("coulomb",))
@@ -168,7 +168,7 @@ def test_what_is_said_of_the_line_is_of_the_terms_it_has(seen: Shown) -> None:
     assert "viscous" not in bare
 
 
-def test_a_band_is_told_of_where_one_is_drawn(seen: Shown) -> None:
+def test_a_band_is_told_of_where_one_is_drawn(seen: Predictions) -> None:
     motion = seen.friction.in_motion
     unsure = replace(motion.law, std_error=np.full_like(motion.law.torque, np.nan))
     for law, drawn in ((motion.law, True), (unsure, False)):
@@ -177,7 +177,9 @@ def test_a_band_is_told_of_where_one_is_drawn(seen: Shown) -> None:
         assert ("no band is drawn" in told) != drawn
 
 
-def test_friction_that_is_not_told_as_a_curve_is_not_said_to_depend_on_more(seen: Shown) -> None:
+def test_friction_that_is_not_told_as_a_curve_is_not_said_to_depend_on_more(
+    seen: Predictions,
+) -> None:
     told = figures._how_to_read(replace(seen.friction.in_motion, law=None))
     assert "depends" not in told
     assert "the mean of the model's friction at each velocity" in told

@@ -12,11 +12,11 @@ import pytest
 
 from hil.networks.training import Curves, Told
 from hil.report import colours
+from hil.report.fit_facts import FitFacts
 from hil.report.model_sections import model_sections
 from hil.report.plotly_figure import figure_json, plotly_of
-from hil.report.run_facts import FitFacts
+from hil.report.predictions import Predictions
 from hil.report.run_figures import ModelView, learning_curves, learning_panel
-from hil.report.run_samples import Shown
 from hil.studies.figure import Figure
 
 
@@ -35,7 +35,7 @@ def fit_with(curves: Any) -> FitFacts:
 
 
 def learning_plots(fit: FitFacts) -> Figure | None:
-    return learning_curves(ModelView(fit, Shown(None, None)))
+    return learning_curves(ModelView(fit, Predictions(None, None)))
 
 
 def test_the_curve_begins_with_the_untrained_network_and_marks_what_was_kept() -> None:

@@ -17,8 +17,8 @@ from hil.core.errors import DataError, RecordingError
 from hil.importers.load import load_source
 from hil.report import render_fit_report, render_report
 from hil.report.run_facts import read_facts
+from hil.report.run_recording import dataset_of, read_recording
 from hil.report.run_report import run_page
-from hil.report.run_samples import measured, read_recording
 from hil.spec.load import load_spec
 from hil.workflow.judging import judge_run
 
@@ -195,7 +195,7 @@ def test_a_dwell_that_was_repeated_is_shown_as_it_was_judged(tmp_path):
     run = write_run(tmp_path, plan, rows=np.concatenate([rows, again]))
     problems = []
     facts = read_facts(run.path)
-    here = measured(facts, read_recording(facts, problems))
+    here = dataset_of(facts, read_recording(facts, problems))
     there = load_source(run.path).of_kind("dwell")
     assert problems == []
     assert [c.id for c in here.conditions] == [c.id for c in there.conditions]

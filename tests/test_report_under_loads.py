@@ -18,8 +18,8 @@ from hil.report.page import page_html
 from hil.report.run_facts import RunFacts, read_facts
 from hil.report.run_figures import error_per_joint
 from hil.report.run_report import run_page, timeline
+from hil.report.run_summary import load_name, weighing_warnings, weighings
 from hil.report.study_sections import HONEST_MEANS, columns_of, study_sections
-from hil.report.verdict import load_name, weighing_warnings, weighings
 from hil.spec.load import load_spec
 from hil.studies.figure import Curve, Figure, Panel
 from hil.studies.result import Table

@@ -13,11 +13,12 @@ from typing import Any
 import numpy as np
 
 from hil.core import FloatArray
+from hil.report.documents import Document, as_float, as_object, as_objects
+from hil.report.fit_facts import FitFacts, best_first
 from hil.report.page import Block, Cell, Column, Facts, Section, Table, cells, items
-from hil.report.run_facts import Document, FitFacts, as_float, as_object, as_objects, best_first
+from hil.report.predictions import DwellPredictions, Predictions
 from hil.report.run_figures import ModelView, figures_of
-from hil.report.run_samples import Dwells, Shown
-from hil.report.verdict import NO_SIGNAL
+from hil.report.run_summary import NO_SIGNAL
 from hil.report.words import (
     METRIC_WORDS,
     UNKNOWN,
@@ -40,7 +41,7 @@ READING = (
 )
 
 
-def model_sections(fits: Sequence[FitFacts], shown: Mapping[str, Shown]) -> list[Section]:
+def model_sections(fits: Sequence[FitFacts], shown: Mapping[str, Predictions]) -> list[Section]:
     """The comparison, then every model; the best one is open, the others unfold on a click.
 
     Args:
@@ -60,13 +61,13 @@ def model_sections(fits: Sequence[FitFacts], shown: Mapping[str, Shown]) -> list
     return [overview, *models]
 
 
-def _model(i: int, fit: FitFacts, shown: Shown | None, *, folded: bool) -> Section:
+def _model(i: int, fit: FitFacts, shown: Predictions | None, *, folded: bool) -> Section:
     blocks: list[Block] = [per_joint(fit)]
     if apart := parts(fit):
         blocks.append(apart)
     if groups := per_group(fit):
         blocks.append(groups)
-    view = ModelView(fit, shown or Shown(None, None))
+    view = ModelView(fit, shown or Predictions(None, None))
     if view.shown.dwells is not None and (sides := approach_table(fit, view.shown.dwells)):
         blocks.append(sides)
     blocks += figures_of("model", view)
@@ -290,7 +291,7 @@ def _group_row(group: Document) -> tuple[Cell, ...]:
     return (Cell(by), *_part_row(name, group))
 
 
-def approach_table(fit: FitFacts, dwells: Dwells) -> Table | None:
+def approach_table(fit: FitFacts, dwells: DwellPredictions) -> Table | None:
     """Error of the mean of both approaches, and half their difference, per joint.
 
     A pose approached from below and from above holds the same gravity, and friction of opposite
@@ -328,7 +329,7 @@ def approach_table(fit: FitFacts, dwells: Dwells) -> Table | None:
     )
 
 
-def _pairs(dwells: Dwells) -> Iterator[tuple[int, int]]:
+def _pairs(dwells: DwellPredictions) -> Iterator[tuple[int, int]]:
     """Dwells at the same pose under the same load, from below and from above."""
     keys = list(zip(dwells.pose.tolist(), dwells.load.tolist(), strict=True))
     side = {(key, sign): i for i, (key, sign) in enumerate(zip(keys, dwells.approach, strict=True))}

@@ -1,30 +1,25 @@
 """What a run says about itself in its small files: documents, plan, events, models, studies.
 
-Everything is read leniently: what is missing says nothing, and what is damaged becomes a warning,
-because a report is most wanted of a run that went wrong. `read_facts` gathers it once for page,
-terminal and dashboard. Samples are read by `run_samples`.
+`read_facts` gathers them once for page, terminal and dashboard. Reading is lenient (`documents`):
+files that cannot be used become `RunFacts.problems`. Of a run without stop document, samples and
+steps are counted by its recordings (`_recorded_by`). Samples are read by `run_recording`, models
+by `fit_facts`.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
 from hil.core import (
     DataError,
-    FloatArray,
     HilError,
     Source,
-    SpecError,
     is_live,
-    read_json,
-    read_source,
 )
 from hil.data import FOUND_FILE
 from hil.importers import completeness_of, rows_of
@@ -39,150 +34,19 @@ from hil.recording import (
     recorded_s,
     torn_although_finished,
 )
-from hil.report.words import number, short_source
+from hil.report.documents import (
+    Document,
+    as_float,
+    as_index,
+    as_names,
+    as_object,
+    as_objects,
+    document,
+    yaml_source,
+)
+from hil.report.fit_facts import FitFacts, best_first, model_folders, read_fits
 from hil.spec import load_spec
 from hil.studies import StudyResult, problem_files, read_study, study_files
-
-PLURALS = {"trajectory": "trajectories", "weigh": "weighings"}
-
-UNDER_LOADS = ("load_error_ratio", "contradicted_loads")
-"""Criteria about loads, judged on all models at once."""
-
-UNENDED = ("interrupted", "running")
-"""Status of a run whose last attempt has no stop document."""
-
-Document: TypeAlias = Mapping[str, Any]
-
-HONEST = "honest"
-"""As in `hil.estimators.base`, which would load Pinocchio to show a few numbers."""
-
-Part = Literal["held_out", "trained"]
-
-
-@dataclass(frozen=True, slots=True)
-class FitFacts:
-    """One fitted model.
-
-    Attributes:
-        folder: `fit/<estimator>-<digest>`.
-        name: The estimator's name, with the digest where two folders have the same estimator, and
-            with a mark where the model follows a paper's protocol.
-        label: The name, with the source where the model was judged on several.
-        evaluation: Content of `evaluation.json`, empty when it was not evaluated.
-        model: Content of `model.json`.
-        under_loads: Rows of its run's verdict about loads.
-    """
-
-    folder: Path
-    name: str
-    label: str
-    evaluation: Document
-    model: Document
-    under_loads: Sequence[Document] = ()
-
-    @property
-    def estimator(self) -> str:
-        """As registered."""
-        return _estimator_of(self.folder)
-
-    @property
-    def protocol(self) -> str:
-        """`honest`, or how the model departs from that."""
-        return _protocol(self.model, self.evaluation)
-
-    @property
-    def is_honest(self) -> bool:
-        """Whether the model predicts without seeing the target."""
-        return self.protocol == HONEST
-
-    @property
-    def held_out(self) -> Document:
-        """Errors on data the model has not seen; empty when there are none."""
-        if "held_out" in self.evaluation:
-            return as_object(self.evaluation["held_out"])
-        return self.evaluation if "total" in self.evaluation else {}
-
-    @property
-    def trained(self) -> Document:
-        """Errors on the data the model was fitted to; empty when not stored."""
-        return as_object(self.evaluation.get("trained"))
-
-    @property
-    def beside(self) -> Sequence[Document]:
-        """Errors where only the load or only the motion is new; not judged."""
-        return as_objects(self.evaluation.get("beside"))
-
-    @property
-    def above(self) -> str:
-        """Where the high-frequency part of the signal begins, `12.5 Hz`; empty when unknown."""
-        cutoff = self.held_out.get("cutoff_hz")
-        if not isinstance(cutoff, list) or not cutoff:
-            return ""
-        edges = dict.fromkeys(number(as_float(edge)) for edge in cutoff)
-        return f"{'–'.join(edges)} Hz"
-
-    @property
-    def fast_part(self) -> str:
-        """What `noise_floor` is: the part the filter takes away, or the scatter within dwells."""
-        if self.above:
-            return f"part above {self.above}"
-        if "cutoff_hz" in self.held_out:
-            return "scatter within dwells"
-        return "high-frequency part"
-
-    @property
-    def criteria(self) -> Sequence[Document]:
-        """Rows of its verdict."""
-        return as_objects(as_object(self.evaluation.get("verdict")).get("rows"))
-
-    @property
-    def source(self) -> str:
-        """Recording it was judged on; empty for the part of a run that was held out."""
-        return str(self.held_out.get("source") or "")
-
-    @property
-    def unit(self) -> str:
-        """Unit of the effort, `A` or `N·m`; empty when unknown."""
-        return str(self.held_out.get("unit", ""))
-
-    @property
-    def joint_names(self) -> tuple[str, ...]:
-        """The joints, in the order of every value."""
-        return as_names(self.held_out.get("joint_names"))
-
-    def total(self, part: Part = "held_out") -> Document:
-        """The errors over all rows of a part."""
-        return as_object((self.held_out if part == "held_out" else self.trained).get("total"))
-
-    def mean(self, metric: str, part: Part = "held_out") -> float:
-        """Mean of a metric over the joints it is defined for; NaN when unknown.
-
-        The two means the evaluation stores itself (`rmse_raw`, `rmse_filtered`) are read, not
-        computed again.
-        """
-        stored = as_float(self.total(part).get(f"mean_{metric.removeprefix('rmse_')}"))
-        if math.isfinite(stored):
-            return stored
-        known = self.values(metric, part)
-        known = known[np.isfinite(known)]
-        return float(known.mean()) if len(known) else float("nan")
-
-    def values(self, metric: str, part: Part = "held_out") -> FloatArray:
-        """(n,) a metric per joint; NaN where it is undefined or not stored."""
-        values = self.total(part).get(metric)
-        if not isinstance(values, list) or len(values) != len(self.joint_names):
-            return np.full(len(self.joint_names), np.nan)
-        return np.array([as_float(value) for value in values])
-
-
-def _estimator_of(folder: Path) -> str:
-    return folder.name.rpartition("-")[0] or folder.name
-
-
-def _protocol(model: Document, evaluation: Document) -> str:
-    """As the model says, or the evaluation; models of an older hil are honest and say nothing."""
-    told = as_object(model.get("fitted")).get("protocol") or evaluation.get("protocol")
-    return str(told or HONEST)
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,8 +75,11 @@ class StudyFacts:
             + " → ".join(filter(None, (str(problem.get(key) or "") for key in ("error", "hint"))))
             for problem in self.failed
         ]
-        told = [f"{result.title}: {text}" for result in self.made for text in result.warnings]
-        return missing + told
+        left_out = [f"{result.title}: {text}" for result in self.made for text in result.warnings]
+        return missing + left_out
+
+
+PLURALS = {"trajectory": "trajectories", "weigh": "weighings"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -360,6 +227,11 @@ class RunFacts:
         return tuple(str(fit.get("estimator")) for fit in as_objects(self.spec.get("fit")))
 
     @property
+    def is_dwell_program(self) -> bool:
+        """Whether the spec asks for static poses, not for trajectories."""
+        return as_object(self.spec.get("excitation")).get("kind") == "dwell"
+
+    @property
     def studies_missing(self) -> tuple[str, ...]:
         """What the spec asks to be studied, and was never tried."""
         wanted = [str(entry.get("study")) for entry in as_objects(self.spec.get("study"))]
@@ -393,6 +265,10 @@ class RunFacts:
         return float(min(values, default=np.nan))
 
 
+UNENDED = ("interrupted", "running")
+"""Status of a run whose last attempt has no stop document."""
+
+
 def read_facts(path: Path) -> RunFacts:
     """Read the small files of a run directory.
 
@@ -407,8 +283,8 @@ def read_facts(path: Path) -> RunFacts:
     problems: list[str] = []
     start = document(path / "start.json", problems)
     run = RunDirectory.open(path) if "hil_run" in start else RunDirectory(path)
-    plan_document, plan = plan_of(path / "plan.json", problems)
-    whole = is_known(path / "start.json", start, problems) and plan is not None
+    plan_document, plan = _plan_of(path / "plan.json", problems)
+    whole = _is_known(path / "start.json", start, problems) and plan is not None
     stop = document(path / name_of_attempt("stop.json", run.attempts - 1), problems)
     verdict = document(path / "verdict.json", problems)
     rate_hz = as_float(as_object(start.get("robot")).get("rate_hz") or plan_document.get("rate_hz"))
@@ -419,7 +295,7 @@ def read_facts(path: Path) -> RunFacts:
         status=status,
         start=start,
         stop=stop,
-        recorded=recorded_by(run, plan, rate_hz) if status in UNENDED else stop,
+        recorded=_recorded_by(run, plan, rate_hz) if status in UNENDED else stop,
         whole=whole,
         plan=plan_document,
         preflight=document(path / "preflight.json", problems),
@@ -427,7 +303,7 @@ def read_facts(path: Path) -> RunFacts:
         spec_source=yaml_source(path / "spec.yaml", problems),
         steps=as_objects(plan_document.get("steps")),
         events=_events(run, problems),
-        fits=with_load_criteria(read_fits(model_folders(path), problems), verdict),
+        fits=_with_load_criteria(read_fits(model_folders(path), problems), verdict),
         studies=read_studies(path, problems),
         problems=tuple(problems),
     )
@@ -452,60 +328,17 @@ def _events(run: RunDirectory, problems: list[str]) -> list[Document]:
         return []
 
 
-def with_load_criteria(fits: Sequence[FitFacts], verdict: Document) -> tuple[FitFacts, ...]:
+UNDER_LOADS = ("load_error_ratio", "contradicted_loads")
+"""Criteria about loads, judged on all models at once."""
+
+
+def _with_load_criteria(fits: Sequence[FitFacts], verdict: Document) -> tuple[FitFacts, ...]:
     """Models with what the verdict of their run says of them under loads."""
     rows = [row for row in as_objects(verdict.get("rows")) if row.get("metric") in UNDER_LOADS]
     return tuple(
         replace(fit, under_loads=[row for row in rows if row.get("estimator") == fit.name])
         for fit in fits
     )
-
-
-def model_folders(run: Path) -> list[Path]:
-    """`fit/<estimator>-<digest>` of every model of a run."""
-    path = run / "fit"
-    return sorted(item for item in path.iterdir() if item.is_dir()) if path.is_dir() else []
-
-
-def read_fits(folders: Sequence[Path], problems: list[str]) -> tuple[FitFacts, ...]:
-    """The models in some folders; one that was judged on several sources appears once for each."""
-    names = [_estimator_of(folder) for folder in folders]
-    labels = (
-        name if names.count(name) == 1 else folder.name
-        for name, folder in zip(names, folders, strict=True)
-    )
-    pairs = zip(folders, labels, strict=True)
-    return tuple(fit for folder, label in pairs for fit in _read(folder, label, problems))
-
-
-def _read(folder: Path, name: str, problems: list[str]) -> list[FitFacts]:
-    evaluation = document(folder / "evaluation.json", problems)
-    model = document(folder / "model.json", problems)
-    if _protocol(model, evaluation) != HONEST:
-        name = f"{name} (paper protocol)"
-    sources = as_objects(evaluation.get("validation"))
-    if not sources:
-        return [FitFacts(folder, name, name, evaluation, model)]
-    return [
-        FitFacts(
-            folder,
-            name,
-            f"{name} on {short_source(str(one.get('source')))}" if len(sources) > 1 else name,
-            {"held_out": {"what": short_source(str(one.get("source"))), **one}},
-            model,
-        )
-        for one in sources
-    ]
-
-
-def best_first(fits: Iterable[FitFacts]) -> tuple[FitFacts, ...]:
-    """The fits that have held-out errors, honest ones first, then smallest raw RMSE first."""
-
-    def rank(fit: FitFacts) -> tuple[bool, bool, float]:
-        error = fit.mean("rmse_raw")
-        return not fit.is_honest, not math.isfinite(error), error
-
-    return tuple(sorted((fit for fit in fits if fit.held_out), key=rank))
 
 
 def read_studies(run: Path, problems: list[str]) -> StudyFacts:
@@ -520,23 +353,23 @@ def read_studies(run: Path, problems: list[str]) -> StudyFacts:
     return StudyFacts(tuple(made), [problem for problem in failed if problem])
 
 
-def plan_of(path: Path, problems: list[str]) -> tuple[Document, Plan | None]:
-    """The plan as it stands there, and as what it is; None for one that nobody can execute.
+def _plan_of(path: Path, problems: list[str]) -> tuple[Document, Plan | None]:
+    """The plan as JSON, and as a `Plan`; None for one that cannot be executed.
 
     What was found in a passive recording is shown like a plan, and is none.
     """
     if not path.exists():
         return document(path.with_name(FOUND_FILE), problems), None
-    told = document(path, problems)
+    content = document(path, problems)
     try:
-        return told, read_plan(path)
+        return content, read_plan(path)
     except DataError as error:
         if error.message not in problems:
             problems.append(error.message)
-        return told, None
+        return content, None
 
 
-def is_known(path: Path, start: Document, problems: list[str]) -> bool:
+def _is_known(path: Path, start: Document, problems: list[str]) -> bool:
     """Whether the start document is one; a damaged one is a problem already."""
     if "hil_run" in start:
         return True
@@ -559,8 +392,8 @@ def torn(run: RunDirectory) -> list[str]:
 _ADDED = ("samples", "gaps", "missing", "duplicates")
 
 
-def recorded_by(run: RunDirectory, plan: Plan | None, rate_hz: float) -> Document:
-    """The part of a stop document that the recordings tell; empty when they tell nothing.
+def _recorded_by(run: RunDirectory, plan: Plan | None, rate_hz: float) -> Document:
+    """The counts of a stop document, taken from the recordings; empty when none can be read.
 
     Args:
         run: Without stop document of its last attempt.
@@ -581,55 +414,3 @@ def recorded_by(run: RunDirectory, plan: Plan | None, rate_hz: float) -> Documen
     for counts in attempts.values():
         total = {name: n + getattr(counts, name) for name, n in total.items()}
     return {**total, "device_s": recorded_s(run.recordings), "complete": complete}
-
-
-def document(path: Path, problems: list[str]) -> Document:
-    """The JSON object in a file; empty when absent or damaged, the latter added to `problems`."""
-    if not path.exists():
-        return {}
-    try:
-        return read_json(path)
-    except DataError as error:
-        if error.message not in problems:
-            problems.append(error.message)
-        return {}
-
-
-def yaml_source(path: Path, problems: list[str]) -> Source:
-    """Return the parsed YAML of a file; without data when it is absent or damaged."""
-    if not path.is_file():
-        return Source(str(path))
-    try:
-        return read_source(path)
-    except SpecError as error:
-        problems.append(f"{path} cannot be read: {error.message}")
-        return Source(str(path))
-
-
-def as_object(value: Any) -> Document:
-    """A value where an object is expected; anything else is an empty one."""
-    return value if isinstance(value, dict) else {}
-
-
-def as_objects(value: Any) -> Sequence[Document]:
-    """The objects of a list; whatever else is in it is left out."""
-    return [item for item in value if isinstance(item, dict)] if isinstance(value, list) else []
-
-
-def as_float(value: Any) -> float:
-    """A value where a number is expected; anything else is NaN."""
-    try:
-        return float(value) if isinstance(value, int | float) else float("nan")
-    except OverflowError:  # a whole number of hundreds of digits
-        return float("nan")
-
-
-def as_index(value: Any, default: int = -1) -> int:
-    """A value where a small whole number is expected; anything else is the default."""
-    fits = isinstance(value, int) and not isinstance(value, bool) and abs(value) < 2**31
-    return value if fits else default
-
-
-def as_names(value: Any) -> tuple[str, ...]:
-    """A list of names."""
-    return tuple(str(item) for item in value) if isinstance(value, list) else ()

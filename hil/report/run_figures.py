@@ -31,19 +31,18 @@ from hil.networks import Curves
 from hil.report import colours
 from hil.report.curves import Shown as Summary
 from hil.report.curves import binned, decimated, in_parts, span, summarised, thinned
-from hil.report.run_facts import FitFacts, RunFacts, as_object
-from hil.report.run_samples import (
-    AtRest,
-    Drift,
-    Dwells,
-    InMotion,
-    Law,
-    Motions,
-    Recording,
-    Shown,
-    dwell_poses,
-    rows_of_steps,
+from hil.report.documents import as_object
+from hil.report.fit_facts import FitFacts
+from hil.report.predictions import (
+    DwellPredictions,
+    FrictionAtRest,
+    FrictionInMotion,
+    FrictionLaw,
+    MotionPredictions,
+    Predictions,
 )
+from hil.report.run_facts import RunFacts
+from hil.report.run_recording import Drift, Recording, dwell_poses, rows_of_steps
 from hil.report.words import joint_title, number, quantity
 from hil.studies import Axis, Band, Curve, Figure, Grid, Look, Mark, Panel
 
@@ -76,7 +75,7 @@ class ModelView:
     """What the figures of a model are drawn from: its evaluation, and held-out predictions."""
 
     fit: FitFacts
-    shown: Shown
+    shown: Predictions
 
 
 Subject: TypeAlias = Literal["excitation", "recording", "models", "model"]
@@ -440,7 +439,7 @@ SIDES = (
 )
 
 
-def resting(seen: AtRest, j: int) -> tuple[Curve, ...]:
+def resting(seen: FrictionAtRest, j: int) -> tuple[Curve, ...]:
     """Friction of one joint at rest over its angle, both directions told apart."""
     angle, curves = seen.q[:, j] * DEGREES, []
     for sign, name, colour, symbol in SIDES:
@@ -458,7 +457,7 @@ def resting(seen: AtRest, j: int) -> tuple[Curve, ...]:
     return tuple(curves)
 
 
-def _mean_sides(seen: AtRest, j: int, unit: str) -> str:
+def _mean_sides(seen: FrictionAtRest, j: int, unit: str) -> str:
     """Mean friction of one joint at rest from either side, of dwells the model holds for."""
     told = []
     for sign, name, _, _ in SIDES:
@@ -560,7 +559,7 @@ ERRORS = 2.0
 """Half a band, in standard errors."""
 
 
-def moving(seen: InMotion, j: int) -> tuple[Curve, ...]:
+def moving(seen: FrictionInMotion, j: int) -> tuple[Curve, ...]:
     """Friction of one joint over its velocity: a cloud of samples, and last the model's line."""
     good = np.isfinite(seen.measured[:, j]) & np.isfinite(seen.qd[:, j])
     qd, measured = seen.qd[good, j] * DEGREES, seen.measured[good, j]
@@ -571,7 +570,7 @@ def moving(seen: InMotion, j: int) -> tuple[Curve, ...]:
     return (cloud, *(_mean(qd, seen.predicted[good, j]) if seen.law is None else _law(seen.law, j)))
 
 
-def _law(law: Law, j: int) -> list[Curve]:
+def _law(law: FrictionLaw, j: int) -> list[Curve]:
     qd, torque, dry = law.qd[:, j] * DEGREES, law.torque[:, j], law.dry[:, j]
     half = ERRORS * law.std_error[:, j]
     dashed = Look(colours.NEUTRAL, "dash", width=1.4)
@@ -590,7 +589,7 @@ def _mean(qd: FloatArray, predicted: FloatArray) -> list[Curve]:
     return _mean_and_spread(centre, mean, spread, "friction of the model, mean")
 
 
-def _ends(seen: InMotion, drawn: Curve, j: int, unit: str) -> str:
+def _ends(seen: FrictionInMotion, drawn: Curve, j: int, unit: str) -> str:
     """What the model's line says at both its ends, and how far the samples are from the model."""
     x, y = np.asarray(drawn.x, dtype=np.float64), np.asarray(drawn.y)
     ends = [
@@ -601,7 +600,7 @@ def _ends(seen: InMotion, drawn: Curve, j: int, unit: str) -> str:
     return f"model {' and '.join(ends) or 'unknown'}; residual RMS {rms} {unit}"
 
 
-def _how_to_read(seen: InMotion) -> str:
+def _how_to_read(seen: FrictionInMotion) -> str:
     """What points and line of friction over velocity are."""
     told = (
         "Points are the measured effort of the held-out trajectories less what the model takes "
@@ -736,7 +735,7 @@ def learning_panel(curves: Curves, alt: str = "") -> Panel:
 
 def _residual(
     fit: FitFacts,
-    data: Dwells | Motions,
+    data: DwellPredictions | MotionPredictions,
     title: str,
     lead: str,
     over: tuple[FloatArray, str],
@@ -771,7 +770,7 @@ def _mean_and_spread(x: FloatArray, mean: FloatArray, spread: FloatArray, name: 
     return [*edges, Curve(name, x, mean, look=solid)]
 
 
-def _regression(fit: FitFacts, data: Dwells | Motions, title: str) -> Figure:
+def _regression(fit: FitFacts, data: DwellPredictions | MotionPredictions, title: str) -> Figure:
     measured, predicted = _both(data)
 
     def curves(j: int) -> _Series:
@@ -800,7 +799,7 @@ def regression_curves(measured: FloatArray, predicted: FloatArray) -> _Series:
 
 def _per_joint(
     fit: FitFacts,
-    data: Dwells | Motions,
+    data: DwellPredictions | MotionPredictions,
     title: str,
     lead: str,
     axes: tuple[str, str],
@@ -822,13 +821,13 @@ def _per_joint(
     return Figure("", title, lead, panels, 0)
 
 
-def _both(data: Dwells | Motions) -> tuple[FloatArray, FloatArray]:
-    if isinstance(data, Dwells):
+def _both(data: DwellPredictions | MotionPredictions) -> tuple[FloatArray, FloatArray]:
+    if isinstance(data, DwellPredictions):
         return data.measured, data.predicted
     return data.all_measured, data.all_predicted
 
 
-def _residual_of(data: Dwells | Motions) -> FloatArray:
+def _residual_of(data: DwellPredictions | MotionPredictions) -> FloatArray:
     measured, predicted = _both(data)
     return measured - predicted
 

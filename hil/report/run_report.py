@@ -20,7 +20,10 @@ from hil.core import DataError, FloatArray, HilError
 from hil.data import Dataset
 from hil.importers import robot_of_run
 from hil.recording import RunDirectory
+from hil.report.documents import Document, as_float, as_index, as_object, as_objects
+from hil.report.fit_facts import FitFacts, best_first, read_fits
 from hil.report.model_sections import model_sections
+from hil.report.next_command import next_command
 from hil.report.page import (
     Block,
     Cell,
@@ -33,31 +36,11 @@ from hil.report.page import (
     items,
     write_page,
 )
-from hil.report.run_facts import (
-    Document,
-    FitFacts,
-    RunFacts,
-    as_float,
-    as_index,
-    as_object,
-    as_objects,
-    best_first,
-    read_facts,
-    read_fits,
-)
+from hil.report.predictions import Predictions, held_out_of, predict_with_file
+from hil.report.run_facts import RunFacts, read_facts
 from hil.report.run_figures import RunView, figures_of
-from hil.report.run_samples import (
-    Drift,
-    Recording,
-    Shown,
-    drift_of,
-    held_out_of,
-    measured,
-    read_recording,
-    show,
-)
-from hil.report.study_sections import study_sections
-from hil.report.verdict import (
+from hil.report.run_recording import Drift, Recording, dataset_of, drift_of, read_recording
+from hil.report.run_summary import (
     ENDINGS,
     badge_of,
     criteria_sentence,
@@ -65,13 +48,13 @@ from hil.report.verdict import (
     fit_sentence,
     fit_warnings,
     load_name,
-    next_command,
     run_highlights,
     run_warnings,
     sentence_of,
     verdict_badge,
     weighings,
 )
+from hil.report.study_sections import study_sections
 from hil.report.words import (
     LATE,
     count,
@@ -172,7 +155,7 @@ def _held_out(
     if recording is None or not facts.judged_fits:
         return out
     try:
-        data = measured(facts, recording)
+        data = dataset_of(facts, recording)
         for fit in facts.judged_fits:
             out[fit.label] = held_out_of(fit, data)
     except HilError as error:
@@ -185,15 +168,15 @@ def _shown(
     held_out: Mapping[str, Dataset],
     problems: list[str],
     judged: Sequence[Judged] = (),
-) -> dict[str, Shown]:
-    out: dict[str, Shown] = {}
+) -> dict[str, Predictions]:
+    out: dict[str, Predictions] = {}
     known = {one.folder.name: one for one in judged}
     for fit in fits[:MOST_PLOTTED]:
         data = held_out.get(fit.label)
         try:
             if data is not None:
                 _require_same_joints(fit, data)
-                out[fit.label] = show(fit.folder, data, known.get(fit.folder.name))
+                out[fit.label] = predict_with_file(fit.folder, data, known.get(fit.folder.name))
         except HilError as error:
             problems.append(f"The plots of {fit.label} are left out: {error.message}")
     return out

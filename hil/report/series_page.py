@@ -8,20 +8,13 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
+from hil.report.documents import Document, as_objects, document
+from hil.report.fit_facts import FitFacts, best_first, model_folders, read_fits
 from hil.report.model_sections import HELD_OUT
 from hil.report.page import Badge, Cell, Column, Mark, Page, Section, Table, cells, write_page
-from hil.report.run_facts import (
-    Document,
-    FitFacts,
-    as_objects,
-    best_first,
-    document,
-    model_folders,
-    read_fits,
-    read_studies,
-)
+from hil.report.run_facts import read_studies
+from hil.report.run_summary import ENDINGS, verdict_badge
 from hil.report.study_sections import columns_of, is_numeric, protocol_mark
-from hil.report.verdict import ENDINGS, verdict_badge
 from hil.report.words import UNKNOWN, number, when
 from hil.studies import Part, StudyResult
 from hil.studies import Table as StudyTable

@@ -8,12 +8,13 @@ from textwrap import wrap
 import numpy as np
 
 from hil.estimators import models_below
-from hil.report.run_facts import FitFacts, RunFacts, as_float, read_facts
-from hil.report.verdict import (
-    RESUMABLE,
+from hil.report.documents import as_float
+from hil.report.fit_facts import FitFacts
+from hil.report.next_command import RESUMABLE, next_command
+from hil.report.run_facts import RunFacts, read_facts
+from hil.report.run_summary import (
     badge_of,
     failed_fits,
-    next_command,
     nrmse_warning,
     sentence_of,
     verdict_words,

@@ -1,30 +1,26 @@
-"""A run in words, for page and terminal alike: verdict, key figures, warnings, what to do next.
+"""A run in a few words and numbers, for page and terminal alike.
 
-The badge is how the run ended when it ended early, else the verdict on its models; the sentence
-below it says how good the best model is on held-out data. `next_command` and `next_commissioning`
-say what to type next. Loads are called by their mass, as people on the floor call them.
+The badge is how the run ended when it ended early, else the verdict on its models. The sentence
+below it says how good the best model is on held-out data, and which criteria it misses. Key
+figures are the numbers people look for first; warnings are what is wrong, or looks wrong. Loads
+are called by their mass, as people on the floor call them.
 """
 
 from __future__ import annotations
 
-import json
 import math
-import shlex
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hil.recording import RunDirectory
+from hil.report.documents import Document, as_float, as_object, as_objects
+from hil.report.fit_facts import FitFacts
 from hil.report.page import Badge, KeyFigure, Mark
-from hil.report.run_facts import Document, FitFacts, RunFacts, as_float, as_object, as_objects
-from hil.report.run_samples import Drift, Recording
+from hil.report.run_facts import RunFacts
+from hil.report.run_recording import Drift, Recording
 from hil.report.words import count, criterion_text, duration, listed, number, quantity, with_unit
 from hil.robot import Status
-
-NO_SIGNAL = 0.9
-"""NRMSE on the training data from which a joint counts as one without signal."""
 
 ENDINGS: dict[str, tuple[str, Mark]] = {
     "interrupted": ("INTERRUPTED", "warn"),
@@ -35,14 +31,6 @@ ENDINGS: dict[str, tuple[str, Mark]] = {
     "damaged": ("DAMAGED", "fail"),
 }
 
-RESUMABLE = ("interrupted", "stopped", "tripped", "failed")
-
-VERDICTS: dict[bool | None, tuple[str, Mark]] = {
-    True: ("PASSED", "pass"),
-    False: ("REJECTED", "fail"),
-    None: ("NOT JUDGED", ""),
-}
-
 
 def badge_of(facts: RunFacts) -> Badge:
     """How the run ended when it ended early, else the verdict on its models."""
@@ -51,19 +39,27 @@ def badge_of(facts: RunFacts) -> Badge:
     return verdict_badge(facts.verdict.get("passed"))
 
 
+VERDICTS: dict[bool | None, tuple[str, Mark]] = {
+    True: ("PASSED", "pass"),
+    False: ("REJECTED", "fail"),
+    None: ("NOT JUDGED", ""),
+}
+
+
 def verdict_badge(passed: object) -> Badge:
     """The badge of a verdict; anything but true and false is not judged."""
     return Badge(*VERDICTS[passed if isinstance(passed, bool) else None])
 
 
 def sentence_of(facts: RunFacts) -> str:
-    """What came of the run, in words a lab person understands."""
+    """The result of the run, in words a lab person understands."""
     if facts.status in ENDINGS:
-        return " ".join(filter(None, (_ending(facts), _progress(facts), _models(facts))))
-    return _models(facts) or _without_model(facts)
+        parts = (_ending_sentence(facts), _progress_sentence(facts), _model_sentence(facts))
+        return " ".join(filter(None, parts))
+    return _model_sentence(facts) or _recording_sentence(facts)
 
 
-def _ending(facts: RunFacts) -> str:
+def _ending_sentence(facts: RunFacts) -> str:
     if facts.status == "interrupted":
         return (
             "The run ended without saying why: its process was killed, or the power failed. "
@@ -82,7 +78,7 @@ def _ending(facts: RunFacts) -> str:
     return f"{words[facts.status]}: {reason.rstrip('.')}."
 
 
-def _progress(facts: RunFacts) -> str:
+def _progress_sentence(facts: RunFacts) -> str:
     """How far it came: by what was measured, or by the steps where nobody could count that."""
     if facts.measured:
         return f"Measured: {facts.measured}."
@@ -91,7 +87,7 @@ def _progress(facts: RunFacts) -> str:
     return f"{facts.steps_done} of {len(facts.steps)} steps were done."
 
 
-def _models(facts: RunFacts) -> str:
+def _model_sentence(facts: RunFacts) -> str:
     best = facts.judged_fits
     if not best:
         return ""
@@ -104,7 +100,7 @@ def _models(facts: RunFacts) -> str:
     return f"{fit_sentence(best[0])} {said or 'The spec sets no acceptance criteria.'}"
 
 
-def _without_model(facts: RunFacts) -> str:
+def _recording_sentence(facts: RunFacts) -> str:
     done, wanted = "The recording is complete.", facts.estimators_wanted
     if facts.commissioning:
         return (
@@ -123,57 +119,11 @@ def _without_model(facts: RunFacts) -> str:
         return f"{done} Somebody else drove the robot; nothing was fitted yet."
     said = criteria_sentence(as_objects(facts.verdict.get("rows")))
     text = f"{done} The spec asks for no model, so nothing was fitted."
-    if _stands(facts):
+    if facts.is_dwell_program:
         text += (
             " `hil payload` tells by a model of the bare arm what is mounted; `hil fit` makes one."
         )
     return f"{text} {said}".strip()
-
-
-def _stands(facts: RunFacts) -> bool:
-    """Whether the program is of poses, by its spec."""
-    return as_object(facts.spec.get("excitation")).get("kind") == "dwell"
-
-
-def next_command(facts: RunFacts, run: str) -> str:
-    """What to type next about the run at `run`; empty when nothing is left to do."""
-    wanted = facts.estimators_wanted
-    if facts.commissioning:
-        return next_commissioning(facts)
-    if facts.start.get("passive"):
-        return "" if facts.fits else f"hil fit {run} --estimator {_fitting(facts)}"
-    if _can_be_resumed(facts):
-        return f"hil resume {run}"
-    if facts.status == "completed" and wanted and not facts.fits:
-        return f"hil fit {run} --estimator {wanted[0]}{_parameters_of_first(facts)}"
-    if facts.status == "completed" and facts.studies_missing:
-        return f"hil study {run}"
-    if facts.status == "completed" and not (wanted or facts.fits or facts.spec.get("study")):
-        weigh, fit = f"hil payload MODEL {run}", f"hil fit {run} --estimator rigid-wls"
-        return weigh if _stands(facts) else fit
-    return ""
-
-
-def _fitting(facts: RunFacts) -> str:
-    """The estimator for what was found in a recording without spec."""
-    found = as_object(facts.recorded.get("complete"))
-    standing = "dwell" in found and "trajectory" not in found
-    return "static-wls" if standing else "rigid-wls"
-
-
-def _can_be_resumed(facts: RunFacts) -> bool:
-    """Return whether `hil resume` has something left to measure or to judge."""
-    if not facts.whole or RunDirectory(facts.path).is_judged:
-        return False
-    unjudged = facts.status == "completed" and "replayed" not in facts.start
-    return unjudged or facts.status in RESUMABLE
-
-
-def _parameters_of_first(facts: RunFacts) -> str:
-    """Those the spec gives its first fit, for a shell: `hil fit` reads no spec."""
-    first = as_objects(facts.spec.get("fit"))[0]
-    given = (f"{name}={json.dumps(value)}" for name, value in first.items() if name != "estimator")
-    return "".join(f" --set {shlex.quote(text)}" for text in given)
 
 
 def fit_sentence(fit: FitFacts) -> str:
@@ -190,53 +140,6 @@ def fit_sentence(fit: FitFacts) -> str:
     return text + "."
 
 
-def verdict_words(facts: RunFacts) -> str:
-    """`recording passed, model not judged`; empty when nothing has been judged yet."""
-    if not facts.verdict:
-        return ""
-    said = [f"{part} {_word_of(facts.verdict, part)}" for part in ("recording", "model")]
-    return ", ".join(said)
-
-
-def _word_of(verdict: Document, part: str) -> str:
-    """The word of one part; from the rows where the verdict is of an older hil."""
-    told = as_object(verdict.get(part)).get("verdict")
-    rows = [
-        row
-        for row in as_objects(verdict.get("rows"))
-        if bool(row.get("estimator")) == (part == "model")
-    ]
-    found = all(row.get("passed") for row in rows) if rows else None
-    return str(told or VERDICTS[found][0].lower())
-
-
-def failed_fits(facts: RunFacts) -> list[str]:
-    """The models of the spec that are missing, why, and what to do."""
-    return [
-        f"{problem.get('estimator') or 'No model'} could not be fitted and judged: "
-        + " → ".join(filter(None, (str(problem.get(key) or "") for key in ("error", "hint"))))
-        for problem in as_objects(facts.verdict.get("problems"))
-    ]
-
-
-def nrmse_warning(fit: FitFacts) -> str:
-    """That a limit on the mean NRMSE is about joints without signal too; empty if it is not.
-
-    A joint counts as such when the model does no better than a constant even on the data it was
-    fitted to: at rest, a joint whose axis is vertical carries no gravity at all.
-    """
-    limited = [r for r in fit.criteria if (r.get("metric"), r.get("per")) == ("nrmse", "mean")]
-    trained = zip(fit.joint_names, fit.values("nrmse", "trained"), strict=True)
-    silent = [name for name, value in trained if value >= NO_SIGNAL]
-    if not (limited and silent):
-        return ""
-    return (
-        f"{fit.label}: the limit on the mean NRMSE includes {listed(silent, 6)}, where a constant "
-        "does as well even on the training data: there is no signal to explain, and NRMSE is 1 "
-        "whatever the model is worth. Limit the RMSE instead (accept.rmse)."
-    )
-
-
 def criteria_sentence(rows: Sequence[Document]) -> str:
     """How many criteria are met, and which are not; empty without criteria."""
     missed = [row for row in rows if not row.get("passed")]
@@ -248,7 +151,7 @@ def criteria_sentence(rows: Sequence[Document]) -> str:
             f"{'The criterion is' if len(rows) == 1 else 'All criteria are'} met: {listed(texts)}."
         )
     groups = dict.fromkeys(_group(row) for row in missed)
-    words = [_missed([row for row in rows if _group(row) == group]) for group in groups]
+    words = [_missed_criterion([row for row in rows if _group(row) == group]) for group in groups]
     return f"Criteria are missed: {'; '.join(words)}."
 
 
@@ -256,7 +159,7 @@ def _group(row: Document) -> tuple[str, str]:
     return str(row.get("estimator") or ""), criterion_text(row)
 
 
-def _missed(rows: Sequence[Document]) -> str:
+def _missed_criterion(rows: Sequence[Document]) -> str:
     """`RMSE raw ≤ 0.02 A by 2 of 6 joints, worst elbow_joint with 0.034 A (static-wls)`."""
     missed = [row for row in rows if not row.get("passed")]
     worst = max(missed, key=lambda row: as_float(row.get("value")))
@@ -267,11 +170,24 @@ def _missed(rows: Sequence[Document]) -> str:
     return f"{text} ({model})" if model else text
 
 
-ALARMING_PERCENT = 1.0
-"""More missing samples than this are marked as a failure, fewer as a warning."""
+def verdict_words(facts: RunFacts) -> str:
+    """`recording passed, model not judged`; empty when nothing has been judged yet."""
+    if not facts.verdict:
+        return ""
+    said = [f"{part} {_word_of(facts.verdict, part)}" for part in ("recording", "model")]
+    return ", ".join(said)
 
-WHOLE = 0.9995
-"""A model valid on a larger share of the rows than this is called valid on all of them."""
+
+def _word_of(verdict: Document, part: str) -> str:
+    """The word of one part; from the rows where the verdict is of an older hil."""
+    stored = as_object(verdict.get(part)).get("verdict")
+    rows = [
+        row
+        for row in as_objects(verdict.get("rows"))
+        if bool(row.get("estimator")) == (part == "model")
+    ]
+    passed = all(row.get("passed") for row in rows) if rows else None
+    return str(stored or VERDICTS[passed][0].lower())
 
 
 def run_highlights(
@@ -290,6 +206,10 @@ def run_highlights(
         note = f"worst joint, {len(drift.t)} visits"
         out.append(KeyFigure("drift at the reference pose", largest, note))
     return out
+
+
+ALARMING_PERCENT = 1.0
+"""More missing samples than this are marked as a failure, fewer as a warning."""
 
 
 def _of_recording(recording: Recording) -> list[KeyFigure]:
@@ -331,14 +251,14 @@ def fit_highlights(fit: FitFacts) -> list[KeyFigure]:
 
 def run_warnings(facts: RunFacts, recording: Recording | None) -> list[str]:
     """What is wrong, or looks wrong, with a run."""
-    told = facts.stop.get("problems")
-    out = [*facts.problems, *(map(str, told) if isinstance(told, list) else ())]
+    logged = facts.stop.get("problems")
+    out = [*facts.problems, *(map(str, logged) if isinstance(logged, list) else ())]
     if facts.status == "interrupted":
         out.append("There is no stop.json: the run was interrupted.")
     if recording is None:
         out.append("No sample was recorded, or none can be read.")
     else:
-        out += _continuity(facts, recording) + _status(recording)
+        out += _gaps(facts, recording) + _flagged_samples(recording)
     if poses := facts.unsettled:
         which = listed([str(pose) for pose in poses], 12)
         out.append(f"{len(poses)} dwell(s) did not settle before the time-out: poses {which}.")
@@ -352,7 +272,7 @@ def run_warnings(facts: RunFacts, recording: Recording | None) -> list[str]:
     )
 
 
-def _continuity(facts: RunFacts, recording: Recording) -> tuple[str, ...]:
+def _gaps(facts: RunFacts, recording: Recording) -> tuple[str, ...]:
     out, counts = [], recording.counts
     if counts.gaps:
         share = number(recording.gaps_percent, 2)
@@ -361,13 +281,13 @@ def _continuity(facts: RunFacts, recording: Recording) -> tuple[str, ...]:
         )
     if counts.duplicates:
         out.append(f"{counts.duplicates} sample(s) repeat, or go back in, device time.")
-    told = facts.stop.get("samples")
-    if isinstance(told, int) and told != counts.samples:
-        out.append(f"stop.json counts {told} samples, the recording holds {counts.samples}.")
+    logged = facts.stop.get("samples")
+    if isinstance(logged, int) and logged != counts.samples:
+        out.append(f"stop.json counts {logged} samples, the recording holds {counts.samples}.")
     return tuple(out)
 
 
-def _status(recording: Recording) -> tuple[str, ...]:
+def _flagged_samples(recording: Recording) -> tuple[str, ...]:
     words = {
         Status.FAULT: "report a controller fault",
         Status.MASKED: "are marked as not usable",
@@ -384,6 +304,19 @@ def _waived(facts: RunFacts) -> list[str]:
         for check in as_objects(facts.preflight.get("checks"))
         if check.get("waived")
     ]
+
+
+def failed_fits(facts: RunFacts) -> list[str]:
+    """The models of the spec that are missing, why, and what to do."""
+    return [
+        f"{problem.get('estimator') or 'No model'} could not be fitted and judged: "
+        + " → ".join(filter(None, (str(problem.get(key) or "") for key in ("error", "hint"))))
+        for problem in as_objects(facts.verdict.get("problems"))
+    ]
+
+
+WHOLE = 0.9995
+"""A model valid on a larger share of the rows than this is called valid on all of them."""
 
 
 def fit_warnings(fits: Sequence[FitFacts]) -> list[str]:
@@ -403,6 +336,28 @@ def fit_warnings(fits: Sequence[FitFacts]) -> list[str]:
     return out
 
 
+NO_SIGNAL = 0.9
+"""NRMSE on the training data from which a joint counts as one without signal."""
+
+
+def nrmse_warning(fit: FitFacts) -> str:
+    """That a limit on the mean NRMSE is about joints without signal too; empty if it is not.
+
+    A joint counts as such when the model does no better than a constant even on the data it was
+    fitted to: at rest, a joint whose axis is vertical carries no gravity at all.
+    """
+    limited = [r for r in fit.criteria if (r.get("metric"), r.get("per")) == ("nrmse", "mean")]
+    trained = zip(fit.joint_names, fit.values("nrmse", "trained"), strict=True)
+    silent = [name for name, value in trained if value >= NO_SIGNAL]
+    if not (limited and silent):
+        return ""
+    return (
+        f"{fit.label}: the limit on the mean NRMSE includes {listed(silent, 6)}, where a constant "
+        "does as well even on the training data: there is no signal to explain, and NRMSE is 1 "
+        "whatever the model is worth. Limit the RMSE instead (accept.rmse)."
+    )
+
+
 DOUBTFUL = {
     "waived": "The failed weighing was waived",
     "inconclusive": "The weighing cannot tell which load is mounted",
@@ -410,67 +365,44 @@ DOUBTFUL = {
 """Results of a weighing after which a run goes on, and what they say about it."""
 
 
-def weighings(facts: RunFacts) -> dict[str, str]:
-    """Load → what was weighed, as it was weighed last; empty for a run without a sweep."""
-    told: dict[str, str] = {}
-    for event in facts.events_of("weighing"):
-        result = event.get("result")
-        if result == "skipped":
-            told["loads"] = f"not weighed: {event.get('reason')}"
-        elif result == "first":
-            told.pop(load_name(facts, 0), None)
-        else:
-            told.pop("loads", None)
-            told[load_name(facts, event.get("load"))] = _words(event)
-    return told
+def weighing_warnings(facts: RunFacts) -> list[str]:
+    """A sentence for every load that may not be the declared one and was measured all the same."""
+    newest = {e.get("load"): e for e in facts.events_of("weighing") if e.get("result") != "skipped"}
+    return [
+        f"{doubtful}: {load_name(facts, event.get('load'))}: {_weighing_problem(event)}."
+        for event in newest.values()
+        if (doubtful := DOUBTFUL.get(str(event.get("result"))))
+    ]
 
 
-def _words(event: Document) -> str:
-    if event.get("result") != "passed":
-        return _problem(event)
-    declared, weighed, deviation = (
-        as_float(event.get(key)) for key in ("declared_kg", "weighed_kg", "deviation_kg")
-    )
-    return f"{declared:.2f} kg declared, {weighed:.2f} ± {deviation:.2f} kg weighed"
-
-
-def _problem(event: Document) -> str:
+def _weighing_problem(event: Document) -> str:
     """Its first line, without the number of the load."""
     line = str(event.get("problem") or "").partition("\n")[0]
     return line.removeprefix(f"load {event.get('load')}: ")
 
 
-def weighing_warnings(facts: RunFacts) -> list[str]:
-    """A sentence for every load that may not be the declared one and was measured all the same."""
-    newest = {e.get("load"): e for e in facts.events_of("weighing") if e.get("result") != "skipped"}
-    told = ((DOUBTFUL.get(str(event.get("result"))), event) for event in newest.values())
-    return [
-        f"{doubtful}: {load_name(facts, event.get('load'))}: {_problem(event)}."
-        for doubtful, event in told
-        if doubtful
-    ]
+def weighings(facts: RunFacts) -> dict[str, str]:
+    """Load → what was weighed, as it was weighed last; empty for a run without a sweep."""
+    latest: dict[str, str] = {}
+    for event in facts.events_of("weighing"):
+        result = event.get("result")
+        if result == "skipped":
+            latest["loads"] = f"not weighed: {event.get('reason')}"
+        elif result == "first":
+            latest.pop(load_name(facts, 0), None)
+        else:
+            latest.pop("loads", None)
+            latest[load_name(facts, event.get("load"))] = _weighed(event)
+    return latest
 
 
-def next_commissioning(facts: RunFacts) -> str:
-    """The next step of commissioning; the same one again after a run that ended early.
-
-    First all poses at the same speed, then the whole program. Empty while the run goes on, and
-    for a run that does not say where its spec is.
-    """
-    spec, station = str(facts.start.get("spec") or ""), str(facts.start.get("station") or "")
-    if not spec or facts.status in ("running", "damaged"):
-        return ""
-    again = facts.status != "completed"
-    told = as_object(facts.start.get("commissioning"))
-    words = ["hil", "run", spec]
-    words += ["--station", station] if Path(station).suffix else []
-    first, first_s, speed = told.get("first"), told.get("first_s"), as_float(told.get("speed"))
-    part = str(first) if first else f"{as_float(first_s):g}s" if first_s else ""
-    if speed < 1.0 and (part or again):
-        words += ["--speed", f"{100 * speed:g}%"]
-    if part and again:
-        words += ["--first", part]
-    return shlex.join(words)
+def _weighed(event: Document) -> str:
+    if event.get("result") != "passed":
+        return _weighing_problem(event)
+    declared, weighed, deviation = (
+        as_float(event.get(key)) for key in ("declared_kg", "weighed_kg", "deviation_kg")
+    )
+    return f"{declared:.2f} kg declared, {weighed:.2f} ± {deviation:.2f} kg weighed"
 
 
 def load_name(facts: RunFacts, load: Any) -> str:

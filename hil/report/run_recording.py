@@ -1,0 +1,248 @@
+"""The samples of a run: all attempts on one time axis, and what is computed from their rows.
+
+`read_recording` reads every attempt once, torn files as far as they go. Drift at the reference
+pose and visited poses are computed from these rows; `dataset_of` cuts the same rows into the
+series a model is judged on. Reading them again by `hil.importers.load_source`, with all moves
+between them, would take longer than the rest of the report.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import groupby, pairwise
+from pathlib import Path
+
+import numpy as np
+
+from hil.core import DataError, FloatArray, IntArray, StructArray
+from hil.data import (
+    Dataset,
+    SeriesKind,
+)
+from hil.importers import Origin, Series, assemble, cut, dwell_rule_of, origin_of_run, steps_of_plan
+from hil.recording import PARTIAL_SUFFIX, Counts, RunDirectory, attempt_of, read_topic
+from hil.report.documents import as_index
+from hil.report.run_facts import RunFacts
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """All samples of a run, attempts behind each other.
+
+    Attributes:
+        attempts: Records of `state_dtype(n)`, one array per attempt.
+        rows: All of them in one array.
+        t: (N,) seconds since the first sample of the run.
+        counts: Samples, gaps, missing, duplicates and overruns, all attempts together.
+        rate_hz: Nominal rate; NaN when the run does not say.
+    """
+
+    attempts: tuple[StructArray, ...]
+    rows: StructArray
+    t: FloatArray
+    counts: Counts
+    rate_hz: float
+
+    @property
+    def begins(self) -> tuple[int, ...]:
+        """Rows at which the attempts after the first begin: nothing was recorded before them."""
+        ends = np.cumsum([len(rows) for rows in self.attempts])
+        return tuple(int(end) for end in ends[:-1])
+
+    @property
+    def recorded_s(self) -> float:
+        """Device time from the first to the last sample of every attempt, added up [s]."""
+        times = (self.t[first:last] for first, last in pairwise((0, *self.begins, len(self.t))))
+        return float(sum(t[-1] - t[0] for t in times))
+
+    @property
+    def measured_rate_hz(self) -> float:
+        """Samples per second where the recording has no gap; NaN when it is too short."""
+        steps = np.diff(self.t)
+        steps = steps[(steps > 0) & (steps < 1.5 * np.median(steps))] if len(steps) else steps
+        return float(1.0 / steps.mean()) if len(steps) else float("nan")
+
+    @property
+    def gaps_percent(self) -> float:
+        """Missing samples as a share of those there should be [%]."""
+        expected = self.counts.samples + self.counts.missing
+        return 100.0 * self.counts.missing / expected if expected else float("nan")
+
+    def tracking_error(self) -> FloatArray:
+        """(N, n) position minus commanded position [rad]; NaN where nothing is commanded."""
+        error: FloatArray = self.rows["q"] - self.rows["q_target"]
+        return error
+
+
+def read_recording(facts: RunFacts, problems: list[str]) -> Recording | None:
+    """The samples of a run; None when nothing is left.
+
+    Torn files are read as far as they go; they and unreadable ones are added to `problems`.
+    """
+    kept = list(_attempts_of(RunDirectory(facts.path).recordings, problems))
+    if not kept:
+        return None
+    rate_hz = facts.rate_hz
+    rows = kept[0] if len(kept) == 1 else np.concatenate(kept)
+    return Recording(tuple(kept), rows, _times(kept), _count(kept, rate_hz), rate_hz)
+
+
+def _attempts_of(paths: Sequence[Path], problems: list[str]) -> Iterator[StructArray]:
+    """The samples of every attempt that has any, the parts of a long one behind each other."""
+    for _, files in groupby(paths, attempt_of):
+        parts = [rows for file in files if (rows := _samples_of(file, problems)) is not None]
+        if kept := [rows for rows in parts if len(rows)]:
+            yield kept[0] if len(kept) == 1 else np.concatenate(kept)
+
+
+def _samples_of(path: Path, problems: list[str]) -> StructArray | None:
+    if path.name.endswith(PARTIAL_SUFFIX):
+        problems.append(
+            f"{path.name} was never finished: it is read as far as it was written to the disk"
+        )
+    try:
+        return read_topic(path, salvage=True)
+    except DataError as error:
+        problems.append(error.message)
+        return None
+
+
+def _times(blocks: Sequence[StructArray]) -> FloatArray:
+    """Device times on one axis; an attempt whose clock started afresh follows the one before."""
+    out: list[FloatArray] = []
+    end = 0.0
+    shift = -float(blocks[0]["device_time"][0])
+    for block in blocks:
+        times: FloatArray = block["device_time"] + shift
+        if times[0] < end:
+            shift += end - float(times[0])
+            times = block["device_time"] + shift
+        out.append(times)
+        end = float(times[-1])
+    return np.concatenate(out)
+
+
+def _count(blocks: Sequence[StructArray], rate_hz: float) -> Counts:
+    """Counts of each attempt added up: the pause between two of them is no gap."""
+    parts = [Counts().after(block, rate_hz) for block in blocks]
+    names = ("samples", "gaps", "missing", "duplicates", "overruns")
+    total = {name: sum(getattr(part, name) for part in parts) for name in names}
+    last = parts[-1]
+    return Counts(
+        **total,
+        first_time=parts[0].first_time,
+        last_time=last.last_time,
+        last_host_time=last.last_host_time,
+    )
+
+
+def rows_of_steps(rows: StructArray, steps: Sequence[int]) -> StructArray:
+    """The rows recorded while one of these plan steps was executing."""
+    wanted = np.zeros(max(steps, default=-1) + 2, np.bool_)
+    wanted[list(steps)] = True
+    segment = np.clip(rows["segment"], -1, len(wanted) - 1)
+    chosen: StructArray = rows[wanted[segment]]
+    return chosen
+
+
+def dwell_poses(facts: RunFacts, recording: Recording) -> tuple[IntArray, FloatArray]:
+    """Pose numbers (P,) and where the arm stood at them (P, n) [rad], each pose once."""
+    poses, where = [], []
+    segment = recording.rows["segment"].astype(np.int64)
+    for _, last in _stays(segment, np.array(facts.indices("dwell"), dtype=np.int64)):
+        poses.append(as_index(facts.steps[int(segment[last - 1])].get("pose")))
+        where.append(recording.rows["q"][last - 1])
+    if not poses:
+        return np.empty(0, np.int64), np.empty((0, 0))
+    number, first = np.unique(np.array(poses), return_index=True)
+    return number, np.array(where)[first]
+
+
+def _stays(segment: IntArray, steps: IntArray) -> list[tuple[int, int]]:
+    """Row ranges in which `segment` stays at one of `steps`."""
+    edges = np.flatnonzero(np.diff(segment)) + 1
+    starts = np.concatenate(([0], edges))
+    stops = np.concatenate((edges, [len(segment)]))
+    wanted = np.isin(segment[starts], steps)
+    return [(int(a), int(b)) for a, b in zip(starts[wanted], stops[wanted], strict=True)]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drift:
+    """The effort at the reference pose, visit by visit.
+
+    Attributes:
+        t: (V,) time of each visit [s].
+        change: (V, n) mean effort minus that of the first visit under the same load and from
+            the same side: friction at standstill has the sign of the approach.
+        approach: (V,) +1 from below, −1 from above, 0 otherwise.
+    """
+
+    t: FloatArray
+    change: FloatArray
+    approach: IntArray
+
+
+REFERENCE_SAMPLES = 10
+"""Rows of a visit that are averaged: the last ones, when the arm has settled."""
+
+
+def drift_of(facts: RunFacts, recording: Recording) -> Drift | None:
+    """How the effort at the reference pose changed; None unless a visit was repeated."""
+    visits = np.array(facts.indices("reference"), dtype=np.int64)
+    segment = recording.rows["segment"].astype(np.int64)
+    stays = _stays(segment, visits)
+    steps = [facts.steps[int(segment[first])] for first, _ in stays]
+    kinds = [(as_index(step.get("load"), 0), as_index(step.get("approach"), 0)) for step in steps]
+    if len(set(kinds)) == len(kinds):
+        return None
+    effort = np.array([_last_mean(recording.rows["effort"], *stay) for stay in stays])
+    first = np.array([kinds.index(kind) for kind in kinds])
+    return Drift(
+        t=np.array([recording.t[last - 1] for _, last in stays]),
+        change=effort - effort[first],
+        approach=np.array([approach for _, approach in kinds]),
+    )
+
+
+def _last_mean(effort: FloatArray, first: int, last: int) -> FloatArray:
+    mean: FloatArray = effort[max(first, last - REFERENCE_SAMPLES) : last].mean(axis=0)
+    return mean
+
+
+JUDGED_KINDS: tuple[SeriesKind, ...] = ("dwell", "trajectory")
+
+
+def dataset_of(facts: RunFacts, recording: Recording) -> Dataset:
+    """The dwells and trajectories of a run.
+
+    Raises:
+        DataError: There are none, or the run does not describe its robot.
+    """
+    notes = steps_of_plan(facts.plan, facts.path / "plan.json", facts.unsettled_steps, JUDGED_KINDS)
+    latest: dict[int, list[Series]] = {}
+    for attempt, rows in enumerate(recording.attempts):
+        pieces = cut(rows, notes, attempt)
+        # A later attempt replaces what an earlier one recorded of the same step.
+        latest |= {piece.step: [] for piece in pieces}
+        for piece in pieces:
+            latest[piece.step].append(piece)
+    series = [piece for step in sorted(latest) for piece in latest[step]]
+    rule = dwell_rule_of(facts.plan, facts.path / "plan.json")
+    return assemble(series, _origin(facts), rule.samples)
+
+
+def _origin(facts: RunFacts) -> Origin:
+    robot = facts.robot
+    if not robot.get("model") or not facts.joint_names:
+        raise DataError(
+            f"{facts.path / 'start.json'} does not describe the robot",
+            hint="the run directory is damaged or was edited: take it from a copy",
+        )
+    described = {"joint_names": list(facts.joint_names), "effort_kind": _effort_kind(facts)}
+    return origin_of_run({"robot": {**robot, **described}}, str(facts.path))
+
+
+def _effort_kind(facts: RunFacts) -> str:
+    return "torque" if facts.effort_unit == "N·m" else "current"
