@@ -26,10 +26,10 @@ from benchmarks.fleets.recorded import ROBOTS, recordings
 from benchmarks.fleets.timed import Clock, Fits, Took, nothing, timed
 from hil.core.parallel import one_thread, processes
 from hil.models.drift import identity
-from hil.models.fleet import FitResult, How, computed, fit_at, fit_runs
+from hil.models.fleet_fits import FitResult, FitSettings, fit_at, fit_runs, results_of
 from hil.models.version import digest_of
 
-HOW = How("rigid-wls")
+HOW = FitSettings("rigid-wls")
 QUICK_ROBOTS = 4
 ROUNDS = 2
 
@@ -105,7 +105,7 @@ def _bare(runs: Sequence[Path]) -> Fits:
 
 
 def _empty(workers: int) -> Fits:
-    computed([nothing] * workers, workers, None, lambda done: None)
+    results_of([nothing] * workers, workers, None, lambda done: None)
     return ()
 
 

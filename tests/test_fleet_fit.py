@@ -24,25 +24,25 @@ from hil.cli.app import app
 from hil.core.errors import DataError, FitError
 from hil.core.parallel import one_thread
 from hil.data.dataset import Dataset
-from hil.maintenance.fleet import experiment_for, spec_for
-from hil.models import fleet
+from hil.maintenance.fleet_specs import experiment_for, spec_for
+from hil.models import fleet_fits
 from hil.models.drift import identity
-from hil.models.fleet import (
+from hil.models.fleet_fits import (
     FitResult,
-    How,
-    computed,
+    FitSettings,
     fit_at,
-    fit_learnt,
     fit_runs,
-    kept,
-    learnt_of,
-    registered,
+    fit_split,
+    register_fit,
+    results_of,
+    split_of,
+    store_fits,
 )
 from hil.models.model_registry import Registry
 from hil.spec.experiment import ContradictedLimit, HoldOut, RmseLimit
 from hil.workflow.running import run as run_experiment
 
-HOW = How("rigid-wls")
+HOW = FitSettings("rigid-wls")
 
 
 @pytest.fixture(scope="module")
@@ -107,7 +107,7 @@ def test_a_worker_that_sees_no_run_is_sent_the_samples_and_finds_the_same_bits(
     def hidden(address: str | None) -> Iterator[Executor]:
         yield Elsewhere(runs[0].parents[1])
 
-    monkeypatch.setattr(fleet, "cluster", hidden)
+    monkeypatch.setattr(fleet_fits, "cluster", hidden)
     counts: list[int] = []
     found = fit_runs(runs, HOW, workers=1, dask="tcp://127.0.0.1:8786", tell=counts.append)
     assert [one.files for one in found] == [one.files for one in results]
@@ -128,7 +128,7 @@ def test_a_dask_cluster_finds_the_same_bits_by_path_and_by_samples(
     ) as made:
         seen = fit_runs(runs, HOW, workers=1, dask=made.scheduler_address)
         # workers find another run there than the one they are asked for
-        monkeypatch.setattr(fleet, "identity", lambda run: ("another", ""))
+        monkeypatch.setattr(fleet_fits, "identity", lambda run: ("another", ""))
         sent = fit_runs(runs, HOW, workers=1, dask=made.scheduler_address)
     for found in (seen, sent):
         assert [one.files for one in found] == [one.files for one in results]
@@ -136,13 +136,13 @@ def test_a_dask_cluster_finds_the_same_bits_by_path_and_by_samples(
 
 def test_what_a_dead_process_took_along_is_computed_again(tmp_path: Path) -> None:
     tasks = [partial(mul, 2, 1), partial(once, str(tmp_path / "mark")), partial(mul, 2, 3)]
-    assert computed(tasks, 2, None, lambda done: None) == [2, 42, 6]
+    assert results_of(tasks, 2, None, lambda done: None) == [2, 42, 6]
 
 
 def test_what_always_kills_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fleet, "TRIES", 1)
+    monkeypatch.setattr(fleet_fits, "TRIES", 1)
     with pytest.raises(FitError, match="1 times a process died"):
-        computed([always], 1, None, lambda done: None)
+        results_of([always], 1, None, lambda done: None)
 
 
 def test_a_run_that_cannot_be_fitted_leaves_the_others_alone(
@@ -155,7 +155,7 @@ def test_a_run_that_cannot_be_fitted_leaves_the_others_alone(
     found = fit_runs([broken, runs[1]], HOW, workers=1)
     assert "plan.json" in found[0].error
     assert found[1].files == results[1].files
-    assert kept([broken], found[:1], tmp_path)[0].model is None
+    assert store_fits([broken], found[:1], tmp_path)[0].model is None
 
 
 def test_a_run_that_was_deleted_leaves_the_others_alone(
@@ -165,7 +165,7 @@ def test_a_run_that_was_deleted_leaves_the_others_alone(
     found = fit_runs([gone, runs[1]], HOW, workers=1)
     assert "does not exist" in found[0].error
     assert found[1].files == results[1].files
-    assert [one.robot for one in kept([gone, runs[1]], found, tmp_path)] == ["c", "b"]
+    assert [one.robot for one in store_fits([gone, runs[1]], found, tmp_path)] == ["c", "b"]
 
 
 def test_a_model_is_judged_as_its_run_has_judged_it(
@@ -182,14 +182,14 @@ def test_a_first_model_becomes_champion_the_next_its_challenger(
     runs: list[Path], results: list[FitResult], tmp_path: Path
 ) -> None:
     registry = Registry(tmp_path / "registry")
-    (first,) = kept(runs[:1], results[:1], tmp_path)
-    assert registered(first, registry).role == "champion"
-    assert registered(first, registry).role == "champion"
+    (first,) = store_fits(runs[:1], results[:1], tmp_path)
+    assert register_fit(first, registry).role == "champion"
+    assert register_fit(first, registry).role == "champion"
     (entry,) = [one for one in registry.log("a") if one.event == "promoted"]
     assert entry.evidence["evaluation"]
     assert registry.version("a").facts["run"]["folder"] == str(runs[0])
-    more = fit_runs(runs[:1], How("rigid-irls"), workers=1)
-    other = registered(*kept(runs[:1], more, tmp_path), registry)
+    more = fit_runs(runs[:1], FitSettings("rigid-irls"), workers=1)
+    other = register_fit(*store_fits(runs[:1], more, tmp_path), registry)
     assert (other.registered, other.role) == ("v2", "challenger")
 
 
@@ -197,14 +197,14 @@ def test_what_misses_its_criteria_or_its_runs_becomes_neither(
     runs: list[Path], results: list[FitResult], tmp_path: Path
 ) -> None:
     registry = Registry(tmp_path / "registry")
-    (fit,) = kept(runs[:1], [replace(results[0], passed=False)], tmp_path)
-    assert registered(fit, registry).role == ""
+    (fit,) = store_fits(runs[:1], [replace(results[0], passed=False)], tmp_path)
+    assert register_fit(fit, registry).role == ""
     rejected = tmp_path / "runs" / "0001-rejected"
     shutil.copytree(runs[0], rejected)
     (rejected / "verdict.json").write_text('{"passed": false}', "utf-8")  # by its gaps, say
-    (fit,) = kept([rejected], results[:1], tmp_path)
+    (fit,) = store_fits([rejected], results[:1], tmp_path)
     assert (fit.result.passed, fit.verdict) == (True, "rejected")
-    assert registered(fit, registry).role == ""
+    assert register_fit(fit, registry).role == ""
     assert registry.aliases("a").champion == registry.aliases("a").challenger == 0
 
 
@@ -212,17 +212,17 @@ def test_what_nobody_has_judged_becomes_no_champion(
     runs: list[Path], results: list[FitResult], tmp_path: Path
 ) -> None:
     registry = Registry(tmp_path / "registry")
-    (fit,) = kept(runs[:1], [replace(results[0], passed=None)], tmp_path)
-    assert registered(fit, registry).role == "challenger"
+    (fit,) = store_fits(runs[:1], [replace(results[0], passed=None)], tmp_path)
+    assert register_fit(fit, registry).role == "challenger"
     assert registry.aliases("a").champion == 0
 
 
 def test_criteria_that_only_a_run_judges_are_not_called_met(runs: list[Path]) -> None:
-    learnt = learnt_of(runs[0], HOW)
+    learnt = split_of(runs[0], HOW)
     asked = learnt.accept.model_copy(update={"contradicted_loads": ContradictedLimit(max=0)})
-    assert fit_learnt(replace(learnt, accept=asked), HOW).passed is None
+    assert fit_split(replace(learnt, accept=asked), HOW).passed is None
     missed = asked.model_copy(update={"rmse": RmseLimit(max=1e-6, unit="A", per="mean")})
-    assert fit_learnt(replace(learnt, accept=missed), HOW).passed is False
+    assert fit_split(replace(learnt, accept=missed), HOW).passed is False
 
 
 def test_what_cannot_be_held_out_is_an_error_and_no_model(
@@ -231,7 +231,7 @@ def test_what_cannot_be_held_out_is_an_error_and_no_model(
     def nothing(data: Dataset, how: HoldOut) -> None:
         raise DataError("the sides share samples")
 
-    monkeypatch.setattr(fleet, "hold_out", nothing)
+    monkeypatch.setattr(fleet_fits, "hold_out", nothing)
     found = fit_at(runs[0], identity(runs[0])[0], HOW)
     assert found is not None
     assert (found.files, found.error) == ({}, "the sides share samples")
@@ -241,9 +241,9 @@ def test_a_name_that_another_robot_has_is_refused(
     runs: list[Path], results: list[FitResult], tmp_path: Path
 ) -> None:
     registry = Registry(tmp_path / "registry")
-    first, other = kept(runs, results, tmp_path)
-    registered(replace(first, robot="arm"), registry)
-    refused = registered(replace(other, robot="arm"), registry)
+    first, other = store_fits(runs, results, tmp_path)
+    register_fit(replace(first, robot="arm"), registry)
+    refused = register_fit(replace(other, robot="arm"), registry)
     assert (refused.registered, refused.role) == ("", "")
     assert "is of serial a-" in refused.error
     assert len(registry.versions("arm")) == 1

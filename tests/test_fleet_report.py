@@ -17,19 +17,13 @@ from typer.testing import CliRunner
 from hil.cli.app import app
 from hil.core.errors import DataError
 from hil.core.parallel import one_thread
-from hil.maintenance.fleet import experiment_for, probe_fleet, spec_for
+from hil.maintenance.fleet_specs import experiment_for, spec_for
 from hil.models.drift import Probe
 from hil.models.drift_features import Features, feature_names
-from hil.models.fleet import (
-    FitResult,
-    RobotFit,
-    Survey,
-    Surveyed,
-    registered,
-    standing,
-    survey_fleet,
-)
+from hil.models.fleet_fits import FitResult, RobotFit, register_fit
 from hil.models.fleet_folder import FleetFolder
+from hil.models.fleet_outliers import compare_robots
+from hil.models.fleet_survey import Survey, SurveyedRobot, probe_fleet, survey_fleet
 from hil.models.model_registry import Registry
 from hil.report.fleet_page import fleet_page, standing_out
 from hil.report.page import page_html
@@ -60,7 +54,7 @@ def survey() -> Survey:
     change[WORN, 2] *= 1.3
     level = 5.0 * dice.uniform(0.85, 1.15, (30, 6)) * change
     robots = tuple(
-        Surveyed(
+        SurveyedRobot(
             f"ur5-{k:03d}", Path(f"run-{k}"), Path("model"), age[k], JOINTS, level[k], celsius[k],
             probed(change[k], changed=k == 4),
         )
@@ -68,8 +62,8 @@ def survey() -> Survey:
     )  # fmt: skip
     given = {"age": age, "temperature": celsius}
     return Survey(
-        "simulated", Path("fleet-simulated"), robots, ("ur5-030",), standing(level, given),
-        standing(change, given),
+        "simulated", Path("fleet-simulated"), robots, ("ur5-030",), compare_robots(level, given),
+        compare_robots(change, given),
     )  # fmt: skip
 
 
@@ -111,7 +105,7 @@ def test_who_is_not_compared_is_named(survey: Survey) -> None:
     told = replace(
         survey,
         robots=tuple(replace(one, age=a) for one, a in zip(survey.robots, age, strict=True)),
-        change=standing(change, {"age": age}),
+        change=compare_robots(change, {"age": age}),
     )
     page = Page(page_html(fleet_page(told)))
     assert "change of friction of ur5-002 is not compared: age is not known" in page.text
@@ -160,7 +154,7 @@ def test_runs_of_a_fleet_are_judged_as_probes_of_its_champions(fleet: Path, tmp_
         model = Path(other["models"][0])
         model = model if model.is_absolute() else fleet / model
         fit = RobotFit(one["robot"], Path(one["run"]), FitResult(model.name, passed=True), model)
-        assert registered(fit, registry).role == "champion"
+        assert register_fit(fit, registry).role == "champion"
     told = probe_fleet(fleet, registry, 0.01)
     assert [(one.robot, one.error, one.note) for one in told] == [("a", "", ""), ("b", "", "")]
     assert told[0].probe is not None

@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 from hil.cli.app import app
 from hil.core.errors import DataError, SpecError
 from hil.core.files import read_json
-from hil.maintenance.fleet import robots_like, spec_for
+from hil.maintenance.fleet_specs import robots_like, spec_for
 from hil.models.fleet_folder import FleetFolder
 from hil.planning.experiment import mock_bench
 from hil.planning.robots import open_robot

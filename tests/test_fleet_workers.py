@@ -13,7 +13,7 @@ import pytest
 
 from hil.core.errors import HilError
 from hil.engine import nobody_goes_on
-from hil.maintenance.fleet import Job, Manner, Workers, _done
+from hil.maintenance.fleet_workers import Job, Manner, Workers, run_job
 from hil.models.fleet_folder import FleetFolder
 from hil.workflow.operator import Desk
 from hil.workflow.series import Ended
@@ -43,8 +43,8 @@ def one_at_it(folder: Path) -> Workers:
 def test_a_worker_that_has_answered_and_stays_is_killed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hil.maintenance.fleet.work", stays_whatever)
-    monkeypatch.setattr("hil.maintenance.fleet.GONE_S", 0.2)
+    monkeypatch.setattr("hil.maintenance.fleet_workers.worker_main", stays_whatever)
+    monkeypatch.setattr("hil.maintenance.fleet_workers.GONE_S", 0.2)
     fleet = one_at_it(tmp_path)
     ((_, process),) = fleet.going.values()
     assert list(fleet.ended()) == [(0, TOLD)]
@@ -55,8 +55,8 @@ def test_a_worker_that_has_answered_and_stays_is_killed(
 def test_ctrl_c_reaches_a_worker_that_has_answered(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hil.maintenance.fleet.work", stays)
-    monkeypatch.setattr("hil.maintenance.fleet.GONE_S", 40.0)
+    monkeypatch.setattr("hil.maintenance.fleet_workers.worker_main", stays)
+    monkeypatch.setattr("hil.maintenance.fleet_workers.GONE_S", 40.0)
     fleet = one_at_it(tmp_path)
     ((answer, (_, process)),) = fleet.going.items()
     assert answer.poll(30.0)
@@ -77,8 +77,8 @@ def test_no_operator_attends_the_run_of_a_worker(
         desks.append(desk)
         raise HilError("enough")
 
-    monkeypatch.setattr("hil.maintenance.fleet.resume_experiment", resumed)
+    monkeypatch.setattr("hil.maintenance.fleet_workers.resume_experiment", resumed)
     (tmp_path / "start.json").write_text('{"hil_run": 1, "robot_name": "ur5"}')
-    answer = _done(Job(tmp_path, tmp_path, "", tmp_path, before=tmp_path))
+    answer = run_job(Job(tmp_path, tmp_path, "", tmp_path, before=tmp_path))
     assert answer["error"]["message"] == "enough"
     assert desks[0].go_on is nobody_goes_on

@@ -13,7 +13,7 @@ from hil.arms import load_arm
 from hil.cli import candidates
 from hil.core.errors import SpecError
 from hil.core.yaml import DEEPEST_LOOK, look_into
-from hil.maintenance.fleet import spec_for
+from hil.maintenance.fleet_specs import spec_for
 from hil.spec.draft import as_scalar
 from hil_mock_robot.ur.faults import UrFault
 

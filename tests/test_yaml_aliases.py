@@ -20,7 +20,7 @@ from hil.core.errors import SpecError
 from hil.core.yaml import look_into, parse
 from hil.estimators.drive_gains import read_gains
 from hil.importers.import_map import load_map
-from hil.maintenance.fleet import spec_for
+from hil.maintenance.fleet_specs import spec_for
 from hil.spec.load import load_spec, load_station
 from hil.spec.schedule import load_schedule_spec
 from hil.spec.series import load_series_spec

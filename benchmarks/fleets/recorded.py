@@ -30,7 +30,7 @@ def recordings(folder: Path, count: int, executor: Executor) -> list[Path]:
 
 
 def _recorded(folder: Path, robot: str) -> Path:
-    from hil.maintenance.fleet import experiment_for
+    from hil.maintenance.fleet_specs import experiment_for
     from hil.workflow.running import run as run_experiment
 
     text = SPEC.format(robot=robot)

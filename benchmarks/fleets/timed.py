@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from subprocess import Popen
 
 from hil.estimators.base import estimator
-from hil.models.fleet import FitResult
+from hil.models.fleet_fits import FitResult
 
 Fits = Sequence[FitResult]
 

@@ -51,14 +51,14 @@ def run(
 ) -> None:
     """Run an experiment on many robots of a station; its own `robot` is replaced by each."""
     from hil.core import cores
-    from hil.maintenance import Manner, named_in, robots_like, spec_for
+    from hil.maintenance import Manner, robots_like, robots_named, spec_for
     from hil.models import FleetFolder
     from hil.planning import find_station
     from hil.workflow import confirm_together
 
     waived = waivers_of(waive or ())
     bench, _, where = find_station(spec.resolve().parent, station)
-    text, (patterns, naming, named) = spec.read_text("utf-8"), named_in(robots)
+    text, (patterns, naming, named) = spec.read_text("utf-8"), robots_named(robots)
     specs = {name: spec_for(text, str(spec), name) for name in robots_like(bench, patterns, where)}
     file = where if Path(where).is_file() else ""
     moves = _moves(specs, spec, file, naming, named)
@@ -80,14 +80,14 @@ def resume(
 ) -> None:
     """Go on with a fleet: with runs that ended early, and robots that were not begun."""
     from hil.core import cores
-    from hil.maintenance import Manner, left_of, named_in
+    from hil.maintenance import Manner, robots_left, robots_named
     from hil.models import FleetFolder
     from hil.workflow import confirm_together
 
     opened, members = FleetFolder.open(folder)
     head, naming = opened.head, opened.head.get("robots")
-    left = {name: opened.spec_of(name).read_text("utf-8") for name in left_of(opened, members)}
-    _, file, named = named_in([naming] if naming else [])
+    left = {name: opened.spec_of(name).read_text("utf-8") for name in robots_left(opened, members)}
+    _, file, named = robots_named([naming] if naming else [])
     moves = _moves(left, Path(head["source"]), head["station"], file, named)
     confirmed = confirm_together(moves, who=operator, yes=yes)
     manner = Manner(workers or cores(), operator, waivers_of(waive or ()), confirmed)

@@ -10,8 +10,7 @@ from hil.cli.output import JsonFlag, RunsOption, print_json, print_table
 from hil.cli.registry import HERE, RegistryOption
 
 if TYPE_CHECKING:
-    from hil.maintenance import Probed
-    from hil.models import RobotFit
+    from hil.models import RobotFit, RobotProbe
 
 FolderArgument = Annotated[
     Path, typer.Argument(help="Folder of the fleet: RUNS/DAY/fleet/NAME.", show_default=False)
@@ -58,16 +57,16 @@ def fit(
     from hil import api
     from hil.cli.runs import fail
     from hil.core import FitError, checked_address, cores
-    from hil.models import How, Registry, fit_runs, kept, registered
+    from hil.models import FitSettings, Registry, fit_runs, register_fit, store_fits
 
     sources, home = _runs_of(what, runs)
     address = checked_address("--dask", dask or None)
-    how = How(estimator, api.parse_parameters(options or ()))
+    settings = FitSettings(estimator, api.parse_parameters(options or ()))
     bar = _Count(len(sources), "fitted")
-    results = fit_runs(sources, how, workers=workers or cores(), dask=address, tell=bar)
-    fits = kept(sources, results, out or home)
+    results = fit_runs(sources, settings, workers=workers or cores(), dask=address, tell=bar)
+    fits = store_fits(sources, results, out or home)
     if register:
-        fits = [registered(one, Registry(registry)) for one in fits]
+        fits = [register_fit(one, Registry(registry)) for one in fits]
     if json:
         print_json({"fits": [one.to_dict() for one in fits]})
     else:
@@ -98,8 +97,7 @@ def drift(
     """Judge the runs of a fleet as probes, each against its robot's champion."""
     from hil.cli.runs import fail
     from hil.core import DataError
-    from hil.maintenance import probe_fleet
-    from hil.models import Registry
+    from hil.models import Registry, probe_fleet
 
     told = probe_fleet(folder, Registry(registry), false_alarm)
     if json:
@@ -153,7 +151,7 @@ def _fit_row(fit: "RobotFit") -> tuple[str, ...]:
     return fit.robot, mean, ", ".join(filter(None, (word, run))), role, fit.error or str(fit.model)
 
 
-def _drift_row(one: "Probed") -> tuple[str, ...]:
+def _drift_row(one: "RobotProbe") -> tuple[str, ...]:
     if one.probe is None:
         return one.robot, "?", one.error
     what = "; ".join(filter(None, (one.probe.text, one.note)))

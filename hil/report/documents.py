@@ -11,13 +11,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from hil.core import (
-    DataError,
-    Source,
-    SpecError,
-    read_json,
-    read_source,
-)
+from hil.core import DataError, Source, SpecError, read_json, read_source
 
 Document: TypeAlias = Mapping[str, Any]
 

@@ -14,17 +14,7 @@ import numpy as np
 from hil.core import DataError, FloatArray
 from hil.models import CHAMPION_EVENTS, JOINT_FEATURES, REFERENCE, Banded, Entry, Registry, banded
 from hil.report import colours
-from hil.report.page import (
-    Badge,
-    Cell,
-    Column,
-    KeyFigure,
-    Page,
-    Section,
-    Table,
-    cells,
-    write_page,
-)
+from hil.report.page import Badge, Cell, Column, KeyFigure, Page, Section, Table, cells, write_page
 from hil.report.words import UNKNOWN, counted, joint_title, number, when
 from hil.studies import Axis, Curve, Figure, Look, Mark, Panel
 

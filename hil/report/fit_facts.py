@@ -15,9 +15,7 @@ from typing import Literal
 
 import numpy as np
 
-from hil.core import (
-    FloatArray,
-)
+from hil.core import FloatArray
 from hil.report.documents import Document, as_float, as_names, as_object, as_objects, document
 from hil.report.words import number, short_source
 

@@ -8,19 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from hil.core import BoolArray, FloatArray
-from hil.models import FAMILY_WISE, FEWEST, Standing, Survey, Surveyed
+from hil.models import FAMILY_WISE, FEWEST, Comparison, Survey, SurveyedRobot
 from hil.report import colours
-from hil.report.page import (
-    Badge,
-    Cell,
-    Column,
-    KeyFigure,
-    Page,
-    Section,
-    Table,
-    cells,
-    write_page,
-)
+from hil.report.page import Badge, Cell, Column, KeyFigure, Page, Section, Table, cells, write_page
 from hil.report.words import UNKNOWN, joint_title, number
 from hil.studies import Curve, Figure, Look, Panel
 
@@ -66,7 +56,7 @@ def fleet_page(survey: Survey) -> Page:
     )
 
 
-def standing_out(survey: Survey) -> list[tuple[Surveyed, str]]:
+def standing_out(survey: Survey) -> list[tuple[SurveyedRobot, str]]:
     """Robots to look at and why, in the fleet's order."""
     told: dict[str, list[str]] = {}
     for one in survey.drifted:
@@ -132,7 +122,7 @@ def _missing(survey: Survey) -> str:
     return f"{len(survey.missing)} are not" if survey.missing else "all"
 
 
-def _table(survey: Survey, out: list[tuple[Surveyed, str]]) -> tuple[Table, ...]:
+def _table(survey: Survey, out: list[tuple[SurveyedRobot, str]]) -> tuple[Table, ...]:
     if not out:
         return ()
     columns = tuple(Column(title, number=False) for title in ("robot", "age [years]", "why"))
@@ -162,7 +152,7 @@ def _sections(survey: Survey) -> list[Section]:
 
 
 def over(
-    survey: Survey, key: str, which: Standing | None, y: FloatArray, shown: list[int], along: str,
+    survey: Survey, key: str, which: Comparison | None, y: FloatArray, shown: list[int], along: str,
     y_title: str,
 ) -> Figure | None:  # fmt: skip
     """A quantity over age or temperature, a panel per joint; None where that is not known.
@@ -215,7 +205,9 @@ def _robots(x: FloatArray, y: FloatArray, out: BoolArray, names: list[str]) -> l
     ]
 
 
-def _trend(which: Standing | None, along: str, j: int, x: FloatArray, y: FloatArray) -> list[Curve]:
+def _trend(
+    which: Comparison | None, along: str, j: int, x: FloatArray, y: FloatArray
+) -> list[Curve]:
     """The trend over one quantity through the middle of the fleet, the others at their mean."""
     if which is None or along not in which.names:
         return []
@@ -228,7 +220,7 @@ def _trend(which: Standing | None, along: str, j: int, x: FloatArray, y: FloatAr
     return [Curve("what is expected", ends, values, look=Look(colours.NEUTRAL, "dash"))]
 
 
-def _trends(survey: Survey, which: Standing | None) -> Table:
+def _trends(survey: Survey, which: Comparison | None) -> Table:
     assert which is not None
     columns = [Column("joint", number=False)]
     for name in which.names:
@@ -261,5 +253,5 @@ def _all(survey: Survey) -> Table:
     return Table("As it was measured", tuple(columns), tuple(rows))
 
 
-def _years(one: Surveyed) -> str:
+def _years(one: SurveyedRobot) -> str:
     return f"{one.age:.1f}" if np.isfinite(one.age) else UNKNOWN

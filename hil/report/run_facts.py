@@ -15,12 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.core import (
-    DataError,
-    HilError,
-    Source,
-    is_live,
-)
+from hil.core import DataError, HilError, Source, is_live
 from hil.data import FOUND_FILE
 from hil.importers import completeness_of, rows_of
 from hil.planning import Plan, read_plan

@@ -16,10 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from hil.core import DataError, FloatArray, IntArray, StructArray
-from hil.data import (
-    Dataset,
-    SeriesKind,
-)
+from hil.data import Dataset, SeriesKind
 from hil.importers import Origin, Series, assemble, cut, dwell_rule_of, origin_of_run, steps_of_plan
 from hil.recording import PARTIAL_SUFFIX, Counts, RunDirectory, attempt_of, read_topic
 from hil.report.documents import as_index

@@ -1,0 +1,412 @@
+"""Models of the robots of a fleet: one fit per run, stored and registered under the robots' names.
+
+Fits are computed by processes of this computer or a Dask cluster, the same bits wherever they are
+computed (`fit_runs`). A worker that sees the run directory reads it itself; to one that does not,
+the samples are sent (`RunToSend`). A robot whose fit fails leaves the others alone: its
+`FitResult` says why. `store_fits` and `register_fit` keep what was fitted.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import BrokenExecutor, Executor
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from hil.core import (
+    TRIES,
+    DataError,
+    FitError,
+    HilError,
+    cluster,
+    json_document,
+    processes,
+    read_json,
+    spread,
+    write_whole,
+)
+from hil.dynamics import load_model
+from hil.estimators import estimator as make_estimator
+from hil.evaluation import (
+    EVALUATION_FILE,
+    Parts,
+    VerdictWord,
+    fit_dataset,
+    hold_out,
+    judged_model,
+    usable_part,
+    verdict_word,
+)
+from hil.importers import load_source, serial_of
+from hil.models.drift import identity
+from hil.models.model_registry import Registry, facts_of
+from hil.spec import Accept, load_spec
+
+
+@dataclass(frozen=True, slots=True)
+class FitSettings:
+    """What is fitted.
+
+    Attributes:
+        estimator: Name in `hil.estimators`.
+        parameters: Its own.
+    """
+
+    estimator: str
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+
+
+OnDone = Callable[[int], object]
+"""Told settings many are done."""
+
+
+def fit_runs(
+    runs: Sequence[Path],
+    settings: FitSettings,
+    *,
+    workers: int,
+    dask: str | None = None,
+    tell: OnDone = lambda done: None,
+) -> list[FitResult]:
+    """Fit every run by itself, in their order; equal to the bit wherever they are fitted.
+
+    A run that cannot be fitted leaves the others alone: its result says why.
+
+    Args:
+        runs: Their directories.
+        settings: What to fit.
+        workers: Processes of this computer.
+        dask: Scheduler whose workers take their place.
+        tell: Told settings many are done.
+
+    Raises:
+        FitError: Workers died again and again, or none is left.
+        PluginError: Dask is not installed.
+    """
+    paths = [run.resolve() for run in runs]
+    tasks = [_task(run, settings) for run in paths]
+    with cluster(dask) as executor:
+        found = results_of(tasks, workers, executor, tell)
+        unseen = [i for i, one in enumerate(found) if one is None]
+        sent = [RunToSend(paths[i], settings) for i in unseen]
+        more = results_of(sent, workers, executor, lambda done: tell(len(runs) - len(sent) + done))
+        for i, one in zip(unseen, more, strict=True):
+            found[i] = one
+    return found
+
+
+def _task(run: Path, settings: FitSettings) -> Callable[[], FitResult | None]:
+    try:
+        return partial(fit_at, run, identity(run)[0], settings)
+    except DataError as error:  # deleted since: the others are still there
+        return partial(FitResult, error=error.message)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FitResult:
+    """The result of one fit.
+
+    Attributes:
+        folder: Name of the model's folder, `<estimator>-<digest>`.
+        files: Its content, by name; empty when there is no model.
+        rmse: (n,) raw, on what was held out.
+        passed: Whether that meets all criteria for models in the run's spec; None if it has none,
+            if they do not apply to such a model, or if some are about loads: only a run judges
+            those.
+        error: Why there is no model.
+    """
+
+    folder: str = ""
+    files: Mapping[str, bytes] = field(default_factory=dict)
+    rmse: tuple[float, ...] = ()
+    passed: bool | None = None
+    error: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunSplit:
+    """What a fit needs of a run.
+
+    Attributes:
+        parts: To fit to and to judge on, as the run's spec says.
+        serial: Of the robot.
+        accept: Criteria of the run's spec.
+    """
+
+    parts: Parts
+    serial: str
+    accept: Accept
+
+
+def split_of(run: Path, settings: FitSettings) -> RunSplit:
+    """What of a run is fitted to, and what is held out.
+
+    Raises:
+        DataError: The run cannot be read, or nothing can be held out.
+        FitError: It has nothing the estimator works on.
+        SpecError: Its spec cannot be read.
+    """
+    data = usable_part(load_source(run), make_estimator(settings.estimator, **settings.parameters))
+    spec = load_spec(run / "spec.yaml", look_up=False)
+    return RunSplit(hold_out(data, spec.hold_out), serial_of(run), spec.accept)
+
+
+def fit_split(split: RunSplit, settings: FitSettings) -> FitResult:
+    """Fit, judge, and give the model's files.
+
+    Raises:
+        FitError: The data do not allow it.
+        PluginError, SpecError: No such estimator, parameter or robot.
+    """
+    train = split.parts.train
+    robot = load_model(train.robot, gravity=train.gravity)
+    with tempfile.TemporaryDirectory(prefix="hil-fit-") as folder:
+        fitted = fit_dataset(
+            train,
+            settings.estimator,
+            robot,
+            out=Path(folder),
+            serial=split.serial,
+            **settings.parameters,
+        )
+        files = {path.name: path.read_bytes() for path in sorted(fitted.folder.iterdir())}
+    judged = judged_model(settings.estimator, fitted, split.parts, split.accept)
+    verdict = judged.verdict
+    passed = verdict.passed if verdict.judged else None
+    return FitResult(
+        fitted.folder.name,
+        files | {EVALUATION_FILE: json_document(judged.document)},
+        tuple(map(float, judged.held_out.total.rmse_raw)),
+        None if passed and split.accept.under_loads else passed,
+    )
+
+
+def fit_at(run: Path, uid: str, settings: FitSettings) -> FitResult | None:
+    """Fit a run by its path; None where that run is not to be found.
+
+    Args:
+        run: Its directory.
+        uid: Its identity.
+        settings: What to fit.
+    """
+    try:
+        seen = identity(run)[0] == uid
+    except HilError:
+        seen = False
+    return _tried_fit(lambda: fit_split(split_of(run, settings), settings)) if seen else None
+
+
+def _tried_fit(fit: Callable[[], FitResult]) -> FitResult:
+    try:
+        return fit()
+    except HilError as error:
+        return FitResult(error=error.message)
+    # Estimators are plug-ins: one that breaks down must not cost the other robots.
+    except Exception as error:
+        return FitResult(error=f"it broke down: {type(error).__name__}: {error}")
+
+
+@dataclass(frozen=True, slots=True)
+class RunToSend:
+    """A fit of a run that the worker cannot see: the samples are read when they are sent.
+
+    Attributes:
+        run: Its directory, here.
+        settings: What to fit.
+    """
+
+    run: Path
+    settings: FitSettings
+
+    def __call__(self) -> FitResult:
+        """Fit it here."""
+        return _tried_fit(lambda: fit_split(split_of(self.run, self.settings), self.settings))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        try:
+            return partial, (_fit_sent, split_of(self.run, self.settings), self.settings)
+        except HilError as error:
+            return partial, (FitResult, "", {}, (), None, error.message)
+
+
+def _fit_sent(split: RunSplit, settings: FitSettings) -> FitResult:
+    return _tried_fit(lambda: fit_split(split, settings))
+
+
+def results_of(
+    tasks: Sequence[Callable[[], Any]], workers: int, executor: Executor | None, tell: OnDone
+) -> list[Any]:
+    """Results of tasks, in their order; what dies with its process is computed again.
+
+    Args:
+        tasks: Independent of each other, and able to travel to another process.
+        workers: Processes of this computer.
+        executor: Takes their place, and stays open.
+        tell: Told settings many are done.
+
+    Raises:
+        FitError: Workers died again and again.
+    """
+    costs = [1.0] * len(tasks)
+    found: dict[int, Any] = {}
+
+    def news(results: Mapping[int, Any]) -> None:
+        tell(len(results))
+
+    if executor is not None:
+        return spread(tasks, costs, executor, news)
+    for _ in range(TRIES):
+        left = [i for i in range(len(tasks)) if i not in found]
+        if not left:
+            break
+        _on_processes([tasks[i] for i in left], left, workers, found, tell)
+    if len(found) < len(tasks):
+        raise FitError(
+            f"{TRIES} times a process died while fitting",
+            hint="they may be out of memory: --workers 1 needs the least of it",
+        )
+    return [found[i] for i in range(len(tasks))]
+
+
+def _on_processes(
+    tasks: Sequence[Callable[[], Any]],
+    numbers: Sequence[int],
+    workers: int,
+    found: dict[int, Any],
+    tell: OnDone,
+) -> None:
+    """Compute tasks until all are done or a process dies, which ends the others of its pool."""
+
+    def keep(results: Mapping[int, Any]) -> None:
+        found.update({numbers[i]: result for i, result in results.items()})
+        tell(len(found))
+
+    pool = processes(min(workers, len(tasks)))
+    try:
+        spread(tasks, [1.0] * len(tasks), pool, keep)
+    except BrokenExecutor:
+        pool.shutdown(wait=True, cancel_futures=True)
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        raise
+    else:
+        pool.shutdown()
+
+
+@dataclass(frozen=True, slots=True)
+class RobotFit:
+    """The fit of one robot.
+
+    Attributes:
+        robot: Its name.
+        run: It was fitted to.
+        result: Of the fit.
+        model: Folder of the model, None without one.
+        registered: Version in the registry, such as `v3`; empty if that was not asked.
+        role: `champion` or `challenger`; empty where it is neither.
+        verdict: On the run: `passed`, `rejected` or `not judged`.
+        refused: Why the registry does not take it, else empty.
+    """
+
+    robot: str
+    run: Path
+    result: FitResult
+    model: Path | None = None
+    registered: str = ""
+    role: str = ""
+    verdict: VerdictWord = "not judged"
+    refused: str = ""
+
+    @property
+    def error(self) -> str:
+        """Why there is no model, or none in the registry; else empty."""
+        return self.result.error or self.refused
+
+    def to_dict(self) -> dict[str, Any]:
+        """An entry of `hil fleet fit --json`."""
+        return {
+            "robot": self.robot,
+            "run": str(self.run),
+            "model": self.model and str(self.model),
+            "rmse_raw": list(self.result.rmse),
+            "passed": self.result.passed,
+            "verdict": self.verdict,
+            "registered": self.registered or None,
+            "role": self.role or None,
+            "error": self.error or None,
+        }
+
+
+def robot_of(run: Path) -> str:
+    """The name of a run's robot in its station; of one that has gone, as its folder had it."""
+    try:
+        return str(read_json(run / "start.json")["robot_name"])
+    except (DataError, KeyError):
+        return run.parent.name
+
+
+def store_fits(runs: Sequence[Path], results: Sequence[FitResult], out: Path) -> list[RobotFit]:
+    """Store models as `out/ROBOT/<estimator>-<digest>`.
+
+    Raises:
+        OSError: They cannot be written.
+    """
+    return [_store(run, one, out) for run, one in zip(runs, results, strict=True)]
+
+
+def _store(run: Path, result: FitResult, out: Path) -> RobotFit:
+    robot, verdict = robot_of(run), verdict_word(run)
+    if not result.files:
+        return RobotFit(robot, run, result, verdict=verdict)
+    folder = out / robot / result.folder
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, content in result.files.items():
+        if not (folder / name).exists() or (folder / name).read_bytes() != content:
+            write_whole(folder / name, content)
+    return RobotFit(robot, run, result, folder, verdict=verdict)
+
+
+def register_fit(fit: RobotFit, registry: Registry) -> RobotFit:
+    """Register a model under its robot's name, as challenger; a first good one becomes champion.
+
+    Good is what meets its run's criteria. What misses them, or is of a run that was rejected,
+    becomes neither; what nobody has judged, challenger at most. A model of another individual than
+    the name's is refused.
+
+    Raises:
+        RegistryError: The registry cannot be written.
+    """
+    if fit.model is None:
+        return fit
+    facts = facts_of(fit.model, [fit.run])
+    if refused := _of_another(fit.robot, facts["serial"], registry):
+        return replace(fit, refused=refused)
+    bad = fit.result.passed is False or fit.verdict == "rejected"
+    version = registry.register(fit.robot, fit.model, facts, challenger=not bad)
+    now = registry.aliases(fit.robot)
+    if fit.result.passed and not bad and not now.champion:
+        evidence = {"evaluation": facts["evaluation"]}
+        now = registry.promote(
+            fit.robot, version.number, reason="the first model of its robot", evidence=evidence,
+            instead_of=0,
+        )  # fmt: skip
+    role = {now.champion: "champion", now.challenger: "challenger"}.get(version.number, "")
+    return replace(fit, registered=version.label, role=role)
+
+
+def _of_another(name: str, serial: str, registry: Registry) -> str:
+    """Why a model is not of the robot that a name stands for; empty if it is, or nobody knows."""
+    if not serial or name not in registry.names():
+        return ""
+    versions, champion = registry.versions(name), registry.aliases(name).champion
+    known = next((one for one in versions if one.number == champion), versions[-1])
+    theirs = str(known.facts.get("serial", ""))
+    if theirs in ("", serial):
+        return ""
+    return (
+        f"{known.label} of {name} in {registry.root} is of serial {theirs}, this robot is "
+        f"{serial}; give robots names that no other station has, or use another registry"
+    )
