@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from hil.cli.app import app
 from hil.report import summary_lines
-from hil.report.next_command import next_commissioning
+from hil.report.next_step import next_commissioning
 from hil.report.run_facts import read_facts
 from hil.runs.listing import next_command, run_listings
 

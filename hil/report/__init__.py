@@ -1,7 +1,7 @@
 """One self-contained HTML page per run or model, and the same summary for a terminal.
 
 What is shown is read leniently (`documents`, `run_facts`, `fit_facts`, `run_recording`), predicted
-(`predictions`) and put into words (`words`, `run_summary`, `next_command`). Pages (`run_report`,
+(`predictions`) and put into words (`words`, `run_summary`, `next_step`). Pages (`run_report`,
 `model_sections`, `study_sections`, `*_page`) are made of the blocks of `page`. Figures are
 described once (`hil.studies.figure`, `run_figures`), and drawn by plotly in pages and by matplotlib
 in files (`plotly_figure`, `matplotlib_figure`, `paper`, `plan_drawing`).

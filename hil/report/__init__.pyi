@@ -8,9 +8,9 @@ from .excitation_page import write_excitation_page as write_excitation_page
 from .fit_facts import FitFacts as FitFacts
 from .fleet_page import render_fleet as render_fleet
 from .fleet_page import standing_out as standing_out
-from .next_command import RESUMABLE as RESUMABLE
-from .next_command import next_command as next_command
-from .next_command import next_commissioning as next_commissioning
+from .next_step import RESUMABLE as RESUMABLE
+from .next_step import next_command as next_command
+from .next_step import next_commissioning as next_commissioning
 from .page import Badge as Badge
 from .page import page_html as page_html
 from .paper import figures as figures

@@ -23,7 +23,7 @@ from hil.recording import RunDirectory
 from hil.report.documents import Document, as_float, as_index, as_object, as_objects
 from hil.report.fit_facts import FitFacts, best_first, read_fits
 from hil.report.model_sections import model_sections
-from hil.report.next_command import next_command
+from hil.report.next_step import next_command
 from hil.report.page import (
     Block,
     Cell,

@@ -10,7 +10,7 @@ import numpy as np
 from hil.estimators import models_below
 from hil.report.documents import as_float
 from hil.report.fit_facts import FitFacts
-from hil.report.next_command import RESUMABLE, next_command
+from hil.report.next_step import RESUMABLE, next_command
 from hil.report.run_facts import RunFacts, read_facts
 from hil.report.run_summary import (
     badge_of,
