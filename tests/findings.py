@@ -289,7 +289,8 @@ def confirmed_in_the_dashboard(folder: Path) -> str:
     from hil.dashboard.server import create_app
     from hil.dashboard.settings import Settings
     from hil.robot import Address
-    from hil.workflow.operator import Granted, console_desk
+    from hil.workflow.motion_confirmation import Granted
+    from hil.workflow.operator import console_desk
     from hil_mock_robot.embedded.robot import MockRobot
 
     (folder / "a.yaml").write_bytes((REPOSITORY / "experiments/ci_dwell_12.yaml").read_bytes())
@@ -360,7 +361,8 @@ def jogged_arms_are_confirmed_again(folder: Path) -> str:
     from hil.api import load, resume, run
     from hil.core.errors import NotConfirmed
     from hil.robot import Address
-    from hil.workflow.operator import Granted, console_desk
+    from hil.workflow.motion_confirmation import Granted
+    from hil.workflow.operator import console_desk
     from hil_mock_robot.embedded.robot import MockRobot
 
     (folder / "b.yaml").write_text(
@@ -395,7 +397,7 @@ def series_are_confirmed_step_by_step(folder: Path) -> str:
     """Compare a step of a series that carries and sweeps more with what its form has shown."""
     from hil.core.errors import NotConfirmed
     from hil.planning.experiment import load as load_experiment
-    from hil.workflow.operator import Granted, motion_facts, together
+    from hil.workflow.motion_confirmation import Granted, facts_of_all, motion_facts
     from hil.workflow.preview import planned
 
     shown = []
@@ -407,7 +409,7 @@ def series_are_confirmed_step_by_step(folder: Path) -> str:
         experiment = load_experiment(folder / f"{name}.yaml")
         with planned(experiment) as (robot, plan, _):
             shown.append(motion_facts(experiment, robot, plan))
-    granted = Granted("dashboard", "ada", together([one.to_dict() for one in shown]))
+    granted = Granted("dashboard", "ada", facts_of_all([one.to_dict() for one in shown]))
     for one in shown:
         granted(one, lambda: None)
     heavy = replace(

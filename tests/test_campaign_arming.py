@@ -29,7 +29,7 @@ from hil.planning.robots import opened
 from hil.robot import Address
 from hil.workflow import arming
 from hil.workflow.arming import ARMED_FILE, Moves, Together, arm, confirm_together, require_armed
-from hil.workflow.operator import motion_facts
+from hil.workflow.motion_confirmation import motion_facts
 from hil.workflow.preview import planned
 from hil_mock_robot.embedded.robot import MockRobot
 

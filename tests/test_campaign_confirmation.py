@@ -21,18 +21,18 @@ from hil.core.errors import DataError, NotConfirmed, RobotFault, SpecError, exit
 from hil.engine import Engine, Reply, nobody_goes_on
 from hil.planning.plan import Plan
 from hil.robot import Address
-from hil.workflow import background_runs, operator
-from hil.workflow.operator import (
-    Console,
-    Desk,
+from hil.workflow import background_runs, motion_confirmation
+from hil.workflow.console import Console
+from hil.workflow.motion_confirmation import (
     Granted,
     TypedName,
     Unconfirmed,
     differences,
     digest_of,
+    facts_of_all,
     granted_in,
-    together,
 )
+from hil.workflow.operator import Desk
 from hil.workflow.preview import planned
 from hil.workflow.running import RunReport
 from hil_mock_robot.embedded.robot import MockRobot
@@ -104,11 +104,11 @@ def experiment(tmp_path: Path) -> hil.Experiment:
     return hil.load(tmp_path / "small.yaml")
 
 
-def desk(confirm: operator.Confirm) -> Desk:
+def desk(confirm: motion_confirmation.Confirm) -> Desk:
     return Desk(lambda text, meanwhile: Reply(True, "anna"), nobody_goes_on, confirm=confirm)
 
 
-def run(experiment: hil.Experiment, confirm: operator.Confirm) -> RunReport:
+def run(experiment: hil.Experiment, confirm: motion_confirmation.Confirm) -> RunReport:
     return hil.run(experiment, runs=experiment.folder / "runs", desk=desk(confirm))
 
 
@@ -118,7 +118,9 @@ def document(report: RunReport, name: str = "start.json") -> dict[str, Any]:
 
 
 def stopped(
-    experiment: hil.Experiment, monkeypatch: pytest.MonkeyPatch, confirm: operator.Confirm
+    experiment: hil.Experiment,
+    monkeypatch: pytest.MonkeyPatch,
+    confirm: motion_confirmation.Confirm,
 ) -> RunReport:
     """A run that somebody stopped after its first measurements."""
     original = Engine._execute
@@ -208,7 +210,7 @@ def test_a_terminal_that_goes_away_confirms_nothing(
 def test_the_robot_is_not_held_forever_for_an_answer(
     real: object, experiment: hil.Experiment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(operator, "ANSWER_WITHIN_S", 0.0)
+    monkeypatch.setattr(motion_confirmation, "ANSWER_WITHIN_S", 0.0)
     with pytest.raises(NotConfirmed):
         run(experiment, TypedName(FakeConsole("ur5")))
 
@@ -391,7 +393,7 @@ def test_facts_confirmed_on_a_form_move_that_robot_and_no_other(
     real: Callable[[str], None], experiment: hil.Experiment
 ) -> None:
     with planned(experiment) as (robot, plan, _):
-        facts = operator.motion_facts(experiment, robot, plan).to_dict()
+        facts = motion_confirmation.motion_facts(experiment, robot, plan).to_dict()
     file = experiment.folder / "confirmed.json"
     file.write_text(json.dumps({"how": "dashboard", "by": "anna", "facts": facts}))
     answer = document(run(experiment, granted_in(file)))["confirmation"]
@@ -433,7 +435,7 @@ def test_each_experiment_of_a_series_is_compared_with_its_own_facts(
     tmp_path: Path, step: int, change: dict[str, Any], said: str
 ) -> None:
     file = tmp_path / "confirmed.json"
-    answer = {"how": "dashboard", "by": "anna", "facts": together(STEPS)}
+    answer = {"how": "dashboard", "by": "anna", "facts": facts_of_all(STEPS)}
     file.write_text(json.dumps(answer))
     facts = SimpleNamespace(robot="ur5", to_dict=lambda: STEPS[step] | change)
     granted = granted_in(file)

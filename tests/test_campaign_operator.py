@@ -25,8 +25,8 @@ from hil.core.errors import PreflightFailed, SpecError, Stopped
 from hil.engine import NOBODY, Reply
 from hil.planning.plan import LoadStep, Step
 from hil.robot import Capabilities
+from hil.workflow.console import Console
 from hil.workflow.operator import (
-    Console,
     ConsoleOperator,
     ScriptedOperator,
     console_desk,

@@ -17,7 +17,7 @@ from web_parts import dashboard, plain, require_fit_for_all
 from hil.core.errors import NotConfirmed, RobotConnectionError
 from hil.dashboard import plan_preview, start_page
 from hil.robot import Address
-from hil.workflow.operator import Granted
+from hil.workflow.motion_confirmation import Granted
 from hil_mock_robot.embedded.robot import MockRobot
 
 SPEC = """

@@ -25,7 +25,7 @@ from hil.core.errors import RobotConnectionError
 from hil.dashboard import plan_preview, run_page
 from hil.robot import Address
 from hil.workflow.background_runs import started_runs
-from hil.workflow.operator import Granted
+from hil.workflow.motion_confirmation import Granted
 from hil_mock_robot.embedded.robot import MockRobot
 
 

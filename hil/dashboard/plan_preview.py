@@ -51,13 +51,13 @@ from hil.workflow import (
     Unfinished,
     check_start,
     digest_of,
+    facts_of_all,
     motion_facts,
     open_unfinished,
     own_environment,
     preview_experiment,
     prompts_of,
     remaining_motion,
-    together,
 )
 
 PLANS = threading.BoundedSemaphore(2)
@@ -156,9 +156,9 @@ class ShownMotions:
         return digest
 
     def confirmed(self, digest: str) -> dict[str, Any]:
-        """Return what a digest confirms, see `together`; empty if no page has shown it."""
+        """Return what a digest confirms, see `facts_of_all`; empty if no page has shown it."""
         with self._looking:
-            return together(self._kept.get(digest, []))
+            return facts_of_all(self._kept.get(digest, []))
 
 
 MOTIONS = ShownMotions()

@@ -32,12 +32,12 @@ from hil.recording import operator as this_user
 from hil.recording import utc_now
 from hil.robot import UNKNOWN, address_of
 from hil.spec import spec_hash
-from hil.workflow.operator import (
+from hil.workflow.console import Console
+from hil.workflow.motion_confirmation import (
     ANSWER_WITHIN_S,
     LOOK_EVERY_S,
     TYPED,
     Confirm,
-    Console,
     Granted,
     MotionFacts,
     Unconfirmed,

@@ -45,15 +45,8 @@ from hil.spec import StationRobot, require_judgeable, spec_hash
 from hil.workflow.checks import require_extras, require_within_reach
 from hil.workflow.interlocks import RunInterlocks
 from hil.workflow.live_state import ArmView, LiveState
-from hil.workflow.operator import (
-    Confirm,
-    Gate,
-    Unconfirmed,
-    loads_document,
-    prompt_on,
-    require_attended,
-    shown_by,
-)
+from hil.workflow.motion_confirmation import Confirm, Gate, Unconfirmed, loads_document, was_shown
+from hil.workflow.operator import prompt_on, require_attended
 from hil.workflow.payload_check import CHECK as WEIGHING
 from hil.workflow.payload_check import Readings, Weighing
 from hil.workflow.remote_control import Control, hold_attempt
@@ -95,7 +88,7 @@ def record(
         interlocks = RunInterlocks(experiment, robot, plan)
         require_room_to_begin(runs)
         confirmed = gate.confirmation(robot, plan)
-        if not shown_by(confirmed):
+        if not was_shown(confirmed):
             attendance.planned(plan)
         with attendance.signals.guard():
             directory = RunDirectory.create(

@@ -40,7 +40,8 @@ from hil.robot import Robot, Status
 from hil.spec import spec_hash
 from hil.workflow.interlocks import RunInterlocks
 from hil.workflow.judging import forget
-from hil.workflow.operator import Gate, Granted, MotionFacts, prompt_on, require_attended, shown_by
+from hil.workflow.motion_confirmation import Gate, Granted, MotionFacts, was_shown
+from hil.workflow.operator import prompt_on, require_attended
 from hil.workflow.payload_check import Readings, is_whole, weighed_before
 from hil.workflow.recording import (
     COUNTED,
@@ -188,7 +189,7 @@ def resume_recording(unfinished: Unfinished, attendance: Attendance) -> Recorded
         require_attended(todo, prompt_on(robot, attendance.prompt), resumed=True)
         interlocks = RunInterlocks(experiment, robot, plan)
         confirmed = gate.confirmation(robot, todo)
-        if not shown_by(confirmed):
+        if not was_shown(confirmed):
             attendance.planned(todo)
         before = replace(_before(directory, plan.rate_hz), first_load=weighed)
         with attendance.signals.guard():

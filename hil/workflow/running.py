@@ -17,7 +17,8 @@ from hil.estimators import models_below
 from hil.evaluation import VerdictWord, verdict_word
 from hil.planning import Experiment, require_experiment
 from hil.recording import RunDirectory
-from hil.workflow.operator import Confirm, Desk, Granted, Unconfirmed, console_desk
+from hil.workflow.motion_confirmation import Confirm, Granted, Unconfirmed
+from hil.workflow.operator import Desk, console_desk
 from hil.workflow.remote_control import hold_attempt
 
 if TYPE_CHECKING:
