@@ -22,7 +22,7 @@ from hil.excitation.motion import FourierSeries
 from hil.excitation.quality import Information, jerk_of
 from hil.planning.excitation_report import ExcitationReport
 from hil.report.excitation_page import excitation_page
-from hil.workflow.excitation import appraise_excitation
+from hil.workflow.preview import appraise_excitation
 
 SPEC = """
 hil: 1

@@ -17,7 +17,6 @@ from .checks import checked_robot as checked_robot
 from .checks import missing_extras as missing_extras
 from .checks import require_extras as require_extras
 from .console import Console as Console
-from .excitation import appraise_excitation as appraise_excitation
 from .fitting import evaluate as evaluate
 from .fitting import fit as fit
 from .following import EventTail as EventTail
@@ -43,6 +42,7 @@ from .passive_recording import Listened as Listened
 from .passive_recording import Wanted as Wanted
 from .passive_recording import listen as listen
 from .preview import WITHOUT_THE_ROBOT as WITHOUT_THE_ROBOT
+from .preview import appraise_excitation as appraise_excitation
 from .preview import plan as plan
 from .preview import planned as planned
 from .preview import preview_experiment as preview_experiment
@@ -80,4 +80,4 @@ from .studies import missing_studies as missing_studies
 from .studies import run_studies as run_studies
 from .studies import study as study
 from .studies import unwatched as unwatched
-from .trying import try_out as try_out
+from .trial import try_out as try_out

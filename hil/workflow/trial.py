@@ -1,4 +1,4 @@
-"""A trial of a model on a simulated arm, and its page."""
+"""[trying] A trial of a model on a simulated arm, and its page."""
 
 from __future__ import annotations
 
