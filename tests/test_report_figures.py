@@ -90,7 +90,7 @@ def test_a_figure_is_added_by_one_registered_function(monkeypatch):
     def nothing_new(view):
         return Figure("new", "Something new", "", ())
 
-    view = ModelView(None, figures.Shown(None, None))
+    view = ModelView(None, figures.Predictions(None, None))
     monkeypatch.setitem(FIGURES, "model", [m for m in FIGURES["model"] if "learn" not in str(m)])
     assert [made.title for made in figures_of("model", view)] == ["Something new"]
     assert RunView.__slots__[:2] == ("facts", "recording")
