@@ -28,18 +28,12 @@ from hil.dynamics import RobotModel, base_parameters
 from hil.estimators import estimator, load_model_file, save_model
 from hil.estimators.base import GROUP
 from hil.estimators.friction_library import groups
-from hil.export import json_check, json_export, json_reader
+from hil.export import json_check, json_friction, json_parameters, json_reader
 from hil.export.agreement import LOAD
 from hil.export.json_check import checked
-from hil.export.json_export import (
-    Spread,
-    adapted,
-    document_of,
-    export_json,
-    library_term,
-    of_base,
-    robot_part,
-)
+from hil.export.json_export import document_of, export_json, robot_part
+from hil.export.json_friction import adapted, library_term
+from hil.export.json_parameters import Spread, of_base
 from hil.export.json_reader import rigid_torque
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -210,7 +204,7 @@ def test_estimators_from_elsewhere_have_their_numbers_told_and_nothing_more(monk
     class NotThis:
         pass
 
-    for module in (json_export, json_check):
+    for module in (json_parameters, json_friction, json_check):
         monkeypatch.setattr(module, "RigidLinear", NotThis)
     document = document_of(fitted("rigid-linear"))
     assert document["checked"].startswith("not compared: an estimator that this version of hil")

@@ -22,7 +22,8 @@ from hil.estimators.friction_library import column_names, groups
 from hil.export import json_check
 from hil.export.agreement import golden_of
 from hil.export.json_check import comparisons, differences
-from hil.export.json_export import FORMS, NETWORK, document_of, library_term
+from hil.export.json_export import document_of
+from hil.export.json_friction import FORMS, NETWORK, library_term
 from hil.export.json_reader import (
     CONSTANTS,
     column,
