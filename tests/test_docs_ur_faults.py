@@ -10,8 +10,8 @@ from ur_mock import loopback
 from hil_mock_robot.ur.dashboard import PRESSES
 from hil_mock_robot.ur.faults import UrFault, UrFaults
 from hil_mock_robot.ur.journal import SAFETY_FAULT, TOLD
-from hil_mock_robot.ur.loop import LockStep
 from hil_mock_robot.ur.mock import TELL
+from hil_mock_robot.ur.pacing import LockStep
 from hil_mock_robot.ur.side import SideService
 
 REFERENCE = Path(__file__).parents[1] / "docs" / "reference"

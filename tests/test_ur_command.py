@@ -16,9 +16,10 @@ from hil.core.errors import CommandRefused, PluginError, SpecError
 from hil_mock_robot.server.options import loopback_of
 from hil_mock_robot.ur.dashboard import PRESSES, pressed
 from hil_mock_robot.ur.faults import UrFaults
-from hil_mock_robot.ur.loop import LockStep, listen
+from hil_mock_robot.ur.loop import listen
 from hil_mock_robot.ur.mock import TELL, main, serial_of
 from hil_mock_robot.ur.modes import RobotMode, SafetyMode
+from hil_mock_robot.ur.pacing import LockStep
 from hil_mock_robot.ur.side import SideService
 
 EMERGENCY_WAY = ("release_emergency_stop", "power_on", "brake_release")

@@ -16,7 +16,7 @@ from hil_mock_robot.ur.machine import CODE
 from hil_mock_robot.ur.modes import RobotMode, RuntimeState, SafetyMode
 from hil_mock_robot.ur.motion import MoveJ, StopJoints
 from hil_mock_robot.ur.rtde import Ownership
-from hil_mock_robot.ur.wire import Framer, Kind, Line, package
+from hil_mock_robot.ur.rtde_wire import Framer, Kind, Line, package
 
 pytestmark = pytest.mark.quick
 

@@ -18,13 +18,13 @@ from hil_mock_robot.ur.control_script import HANDLERS
 from hil_mock_robot.ur.dashboard import COMMANDS, CONTROL_LOOP
 from hil_mock_robot.ur.faults import UrFault, UrFaults
 from hil_mock_robot.ur.journal import Witness
-from hil_mock_robot.ur.loop import LockStep
 from hil_mock_robot.ur.mock import services_of
+from hil_mock_robot.ur.pacing import LockStep
 from hil_mock_robot.ur.rtde import RtdeService
+from hil_mock_robot.ur.rtde_variables import inputs_of, outputs_of, series_of
+from hil_mock_robot.ur.rtde_wire import Framer, Kind, package
 from hil_mock_robot.ur.script_functions import ACTIONS
 from hil_mock_robot.ur.side import SideService
-from hil_mock_robot.ur.variables import inputs_of, outputs_of, series_of
-from hil_mock_robot.ur.wire import Framer, Kind, package
 
 RTDE, DASHBOARD, PRIMARY, SECONDARY, REALTIME, SIDE = 30004, 29999, 30001, 30002, 30003, 30100
 TEXT_PORTS = (PRIMARY, SECONDARY, REALTIME)

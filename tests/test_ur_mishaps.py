@@ -9,9 +9,10 @@ from ur_machine import Wire, machine_of, pass_time
 from ur_raw import Raw, address
 
 from hil_mock_robot.ur.faults import UrFaults
-from hil_mock_robot.ur.loop import FreeRun, LockStep, Loop
+from hil_mock_robot.ur.loop import Loop
 from hil_mock_robot.ur.modes import RuntimeState
 from hil_mock_robot.ur.motion import MoveJ
+from hil_mock_robot.ur.pacing import FreeRun, LockStep
 from hil_mock_robot.ur.program import Threaded
 from hil_mock_robot.ur.rtde import RtdeService
 from hil_mock_robot.ur.side import SideService

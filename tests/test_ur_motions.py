@@ -20,7 +20,12 @@ from hil_mock_robot.ur.motion import (
     StopJoints,
     StopL,
 )
-from hil_mock_robot.ur.routes import JOINT_LIMITS, SINGULARITY, SUDDEN_CHANGE, MotionImpossible
+from hil_mock_robot.ur.motion_limits import (
+    JOINT_LIMITS,
+    SINGULARITY,
+    SUDDEN_CHANGE,
+    MotionImpossible,
+)
 
 ARM = load_arm("ur5")
 TCP = np.array([0.02, -0.01, 0.1, 0.1, 0.2, -0.3])

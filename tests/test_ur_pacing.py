@@ -6,7 +6,7 @@ import pytest
 from ur_machine import Wire, machine_of
 
 from hil_mock_robot.server.journal import Journal, read_journal
-from hil_mock_robot.ur import loop
+from hil_mock_robot.ur import pacing
 from hil_mock_robot.ur.faults import UrFaults
 from hil_mock_robot.ur.journal import Witness
 from hil_mock_robot.ur.side import SideService
@@ -17,12 +17,12 @@ pytestmark = pytest.mark.quick
 @pytest.fixture
 def clock(monkeypatch):
     now = [100.0]
-    monkeypatch.setattr(loop.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(pacing.time, "monotonic", lambda: now[0])
     return now
 
 
 def test_a_late_tick_is_caught_up_at_twice_the_pace_so_that_no_two_packages_wait_together(clock):
-    pacer = loop.RealTime(0.002)
+    pacer = pacing.RealTime(0.002)
     clock[0] += 0.005  # nobody gave us the processor
     made = []
     for _ in range(8):
@@ -33,7 +33,7 @@ def test_a_late_tick_is_caught_up_at_twice_the_pace_so_that_no_two_packages_wait
 
 
 def test_what_was_missed_for_long_is_not_raced_after(clock):
-    pacer = loop.RealTime(0.002)
+    pacer = pacing.RealTime(0.002)
     clock[0] += 1.0
     pacer.ticked()
     assert pacer.behind_s == pytest.approx(0.998)
@@ -49,22 +49,22 @@ def busy(pacer, clock, seconds):
 
 
 def test_the_pace_is_the_share_of_device_time_that_passed(clock):
-    pacer = loop.RealTime(0.1)
+    pacer = pacing.RealTime(0.1)
     busy(pacer, clock, 20.0)
     assert pacer.pace == pytest.approx(0.5, abs=0.05)
     assert pacer.behind_s == pytest.approx(10.0, abs=0.5)
 
 
 def test_the_pace_is_one_again_ten_seconds_later(clock):
-    pacer = loop.RealTime(0.1)
+    pacer = pacing.RealTime(0.1)
     busy(pacer, clock, 20.0)
-    clock[0] += loop.OVER_S + 0.1
+    clock[0] += pacing.OVER_S + 0.1
     assert pacer.pace == 1.0
 
 
 def test_a_mock_that_falls_behind_says_so_once_a_minute(clock):
-    pacer, said = loop.RealTime(0.1), []
-    pacer.listeners.append(loop.SlipWarning(said.append).slipped)
+    pacer, said = pacing.RealTime(0.1), []
+    pacer.listeners.append(pacing.SlipWarning(said.append).slipped)
     busy(pacer, clock, 150.0)
     assert len(said) == 3
     assert "behind the wall clock" in said[0]
@@ -72,8 +72,8 @@ def test_a_mock_that_falls_behind_says_so_once_a_minute(clock):
 
 
 def test_a_single_hiccup_is_not_worth_a_line(clock):
-    pacer, said = loop.RealTime(0.1), []
-    pacer.listeners.append(loop.SlipWarning(said.append).slipped)
+    pacer, said = pacing.RealTime(0.1), []
+    pacer.listeners.append(pacing.SlipWarning(said.append).slipped)
     for _ in range(200):
         clock[0] += pacer.wait_s()
         pacer.ticked()
@@ -84,7 +84,7 @@ def test_a_single_hiccup_is_not_worth_a_line(clock):
 def test_a_slip_is_a_line_of_the_journal(clock, tmp_path):
     journal = Journal(str(tmp_path / "journal"), "ur5")
     journal.open()
-    pacer = loop.RealTime(0.1)
+    pacer = pacing.RealTime(0.1)
     pacer.listeners.append(Witness(machine_of(), journal).slipped)
     clock[0] += 1.0
     pacer.ticked()
@@ -93,7 +93,7 @@ def test_a_slip_is_a_line_of_the_journal(clock, tmp_path):
 
 
 def test_the_side_channel_says_how_far_the_mock_is_behind(clock):
-    machine, wire, pacer = machine_of(), Wire(), loop.RealTime(0.1)
+    machine, wire, pacer = machine_of(), Wire(), pacing.RealTime(0.1)
     session = SideService(1, machine, UrFaults(machine), pacer).accept(wire)
     busy(pacer, clock, 20.0)
     session.received(b'{"do": "state"}\n')
@@ -104,7 +104,7 @@ def test_the_side_channel_says_how_far_the_mock_is_behind(clock):
 
 def test_a_mock_that_has_no_pace_to_keep_is_never_behind():
     machine, wire = machine_of(), Wire()
-    session = SideService(1, machine, UrFaults(machine), loop.FreeRun()).accept(wire)
+    session = SideService(1, machine, UrFaults(machine), pacing.FreeRun()).accept(wire)
     session.received(b'{"do": "state"}\n')
     state = json.loads(bytes(wire.sent))
     assert (state["behind_s"], state["pace"]) == (None, None)

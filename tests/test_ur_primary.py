@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from ur_machine import Wire, machine_of, pass_time
 
+from hil_mock_robot.ur.client_interfaces import MOST_PENDING, PrimaryService, RealtimeService
 from hil_mock_robot.ur.dashboard import IdleProgram
 from hil_mock_robot.ur.modes import RobotMode, SafetyMode
-from hil_mock_robot.ur.primary import MOST_PENDING, PrimaryService
-from hil_mock_robot.ur.realtime import RealtimeService
 
 # Sub-package → its size. e-Series: as in a state packet of URSim 5.8, 1386 bytes in all.
 SIZES_E = {

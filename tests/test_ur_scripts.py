@@ -11,8 +11,8 @@ from ur_control_parts import HOME, beside
 from ur_machine import machine_of
 
 from hil.core.errors import CommandRefused
+from hil_mock_robot.ur.client_interfaces import LARGEST_TEXT, MOST_LINES, ScriptInbox
 from hil_mock_robot.ur.control_script import ControlScript
-from hil_mock_robot.ur.inbox import LARGEST_TEXT, MOST_LINES, ScriptInbox
 from hil_mock_robot.ur.modes import RobotMode, RuntimeState
 from hil_mock_robot.ur.script_values import LONGEST_SHOWN, MOST_ELEMENTS
 from hil_mock_robot.ur.scripts import play, program_of

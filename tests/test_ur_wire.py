@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from ur_machine import Wire, machine_of
 
 from hil_mock_robot.ur.rtde import RtdeService
-from hil_mock_robot.ur.variables import WIRE, Values
-from hil_mock_robot.ur.wire import Framer, InputRecipe, Kind, Level, OutputRecipe, package
+from hil_mock_robot.ur.rtde_variables import WIRE, Values
+from hil_mock_robot.ur.rtde_wire import Framer, InputRecipe, Kind, Level, OutputRecipe, package
 
 SIX = [f"output_double_register_{i}" for i in range(12, 20)]
 RECEIVED = """

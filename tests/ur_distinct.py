@@ -8,8 +8,8 @@ import signal
 from hil_mock_robot.ur.loop import Loop
 from hil_mock_robot.ur.mock import machine_of, pacer_of, parser_of
 from hil_mock_robot.ur.rtde import RtdeService
-from hil_mock_robot.ur.variables import WIRE, series_of
-from hil_mock_robot.ur.wire import Level
+from hil_mock_robot.ur.rtde_variables import WIRE, series_of
+from hil_mock_robot.ur.rtde_wire import Level
 
 
 def distinct(machine):

@@ -5,7 +5,7 @@ import numpy as np
 from hil_mock_robot.plant.truth import draw_truth
 from hil_mock_robot.ur.body import Body
 from hil_mock_robot.ur.machine import Machine
-from hil_mock_robot.ur.variables import series_of
+from hil_mock_robot.ur.rtde_variables import series_of
 
 UPRIGHT = np.radians([0.0, -90.0, 0.0, -90.0, 0.0, 0.0])
 SERIAL = "20225500042"

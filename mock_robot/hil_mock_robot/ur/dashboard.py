@@ -21,8 +21,8 @@ from hil.core import CommandRefused, SpecError
 from hil_mock_robot.ur.contracts import Link, Program
 from hil_mock_robot.ur.machine import Event, Machine
 from hil_mock_robot.ur.modes import UNLOCK_AFTER_S, RuntimeState, SafetyMode
+from hil_mock_robot.ur.rtde_variables import Series
 from hil_mock_robot.ur.scripts import program_of
-from hil_mock_robot.ur.variables import Series
 
 GREETING = "Connected: Universal Robots Dashboard Server"
 

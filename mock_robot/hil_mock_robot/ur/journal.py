@@ -10,8 +10,9 @@ import numpy as np
 
 from hil_mock_robot.server import journal
 from hil_mock_robot.server.journal import Journal, Moment
-from hil_mock_robot.ur.loop import Slip, TcpLink
+from hil_mock_robot.ur.loop import TcpLink
 from hil_mock_robot.ur.machine import Event, Machine
+from hil_mock_robot.ur.pacing import Slip
 
 NAMES = {
     1: "movej", 2: "movej_ik", 3: "movel", 4: "movel_fk", 6: "force_mode", 9: "speedj",

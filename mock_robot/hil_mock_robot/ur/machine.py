@@ -20,10 +20,16 @@ from hil_mock_robot.ur.body import Body, Reading
 from hil_mock_robot.ur.contracts import NOWHERE, Motion, Place, Program, Setpoint
 from hil_mock_robot.ur.modes import Modes, RobotMode, RuntimeState
 from hil_mock_robot.ur.motion import StopJoints
-from hil_mock_robot.ur.outputs import Cartesian, Publishing
-from hil_mock_robot.ur.routes import MotionImpossible, leaving, out_of
-from hil_mock_robot.ur.variables import Series, Values, inputs_of, outputs_of
-from hil_mock_robot.ur.wire import Line
+from hil_mock_robot.ur.motion_limits import MotionImpossible, joint_leaving_range, out_of_range
+from hil_mock_robot.ur.rtde_variables import (
+    Cartesian,
+    Publishing,
+    Series,
+    Values,
+    inputs_of,
+    outputs_of,
+)
+from hil_mock_robot.ur.rtde_wire import Line
 
 PROTECTIVE_STOP_RAD_S2 = 8.0
 EMERGENCY_STOP_RAD_S2 = 16.0
@@ -294,9 +300,9 @@ class Machine:
             self.setpoint = np.stack((self.setpoint[0], np.zeros(6), np.zeros(6)))
         else:
             self.setpoint = after
-            joint = leaving(self.body.arm, after[0], after[1])
+            joint = joint_leaving_range(self.body.arm, after[0], after[1])
             if joint is not None and self.modes.running:
-                self._break_off(out_of(self.body.arm, joint))
+                self._break_off(out_of_range(self.body.arm, joint))
 
     def _break_off(self, error: MotionImpossible) -> StopJoints:
         """A motion cannot begin or go on: a protective stop, or a runtime error of its program."""

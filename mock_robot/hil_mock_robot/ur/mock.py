@@ -19,26 +19,20 @@ from hil.core import SpecError
 from hil_mock_robot.plant.truth import published
 from hil_mock_robot.server.cli import Parser, exit_code_of, serve, show, truth_of
 from hil_mock_robot.server.journal import journal_of
-from hil_mock_robot.server.options import (
-    factor_of,
-    loopback_of,
-    mounted_of,
-    pose_of,
-    upright_deg,
-)
+from hil_mock_robot.server.options import factor_of, loopback_of, mounted_of, pose_of, upright_deg
 from hil_mock_robot.server.side_channel import Tell
 from hil_mock_robot.ur.body import Body
+from hil_mock_robot.ur.client_interfaces import PRIMARY, SECONDARY, PrimaryService, RealtimeService
 from hil_mock_robot.ur.contracts import Service
 from hil_mock_robot.ur.dashboard import DashboardService
 from hil_mock_robot.ur.faults import UrFault, UrFaults
 from hil_mock_robot.ur.journal import Witness
-from hil_mock_robot.ur.loop import FreeRun, LockStep, Loop, Pacer, RealTime, SlipWarning
+from hil_mock_robot.ur.loop import Loop
 from hil_mock_robot.ur.machine import Machine
-from hil_mock_robot.ur.primary import PRIMARY, SECONDARY, PrimaryService
-from hil_mock_robot.ur.realtime import RealtimeService
+from hil_mock_robot.ur.pacing import FreeRun, LockStep, Pacer, RealTime, SlipWarning
 from hil_mock_robot.ur.rtde import RtdeService
+from hil_mock_robot.ur.rtde_variables import CB3, E_SERIES, Series, series_of
 from hil_mock_robot.ur.side import SideService
-from hil_mock_robot.ur.variables import CB3, E_SERIES, Series, series_of
 
 TELL = Tell(
     command="hil mock ur",

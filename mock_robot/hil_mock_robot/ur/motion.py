@@ -30,22 +30,15 @@ from hil_mock_robot.ur.kinematics import (
     turned,
     twist_of,
 )
-from hil_mock_robot.ur.routes import (
+from hil_mock_robot.ur.motion_limits import (
     SINGULARITY,
-    Leg,
-    Moment,
     MotionImpossible,
-    Piece,
-    Site,
-    Size,
-    alike,
-    joint_route,
-    joint_size,
-    out_of,
+    out_of_range,
     require_finite,
     require_within,
-    tool_route,
 )
+from hil_mock_robot.ur.path_pieces import Moment, Piece, Size, joint_size
+from hil_mock_robot.ur.routes import Leg, Site, blendable, joint_route, tool_route
 
 ROUNDING, BISECTIONS = 1 + 1e-9, 8
 
@@ -110,7 +103,7 @@ class MovePath:
         """The pieces of the moves that come next and can be blended."""
         while not self._pieces and self._planned < len(self._legs):
             first = self._planned
-            legs = self._legs[first : first + alike(self._legs[first:])]
+            legs = self._legs[first : first + blendable(self._legs[first:])]
             self._planned += len(legs)
             self._t, self._follower = 0.0, None
             if legs[0].joint_space:
@@ -413,7 +406,7 @@ def require_stopping(arm: ArmDescription, q: FloatArray, v: FloatArray) -> None:
     rest = q + v * np.abs(v) / (2.0 * LIMIT_BRAKE_RAD_S2)
     beyond = ((rest > arm.q_max) & (v > 0)) | ((rest < arm.q_min) & (v < 0))
     if beyond.any():
-        raise out_of(arm, int(beyond.argmax()))
+        raise out_of_range(arm, int(beyond.argmax()))
 
 
 JOINTS_INSTEAD_RAD_S2 = 8.0

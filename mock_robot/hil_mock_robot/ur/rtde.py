@@ -18,7 +18,7 @@ from typing import Protocol, runtime_checkable
 
 from hil_mock_robot.ur.contracts import Link
 from hil_mock_robot.ur.machine import Machine
-from hil_mock_robot.ur.wire import (
+from hil_mock_robot.ur.rtde_wire import (
     LONGEST_NAMES,
     Framer,
     InputRecipe,

@@ -5,11 +5,11 @@ from __future__ import annotations
 import ast
 from collections.abc import Iterable, Iterator, Mapping, Set
 
+from hil_mock_robot.ur.rtde_variables import Series
 from hil_mock_robot.ur.script_errors import ScriptError
 from hil_mock_robot.ur.script_functions import ACTIONS, ANSWERS
 from hil_mock_robot.ur.script_motions import MOVES
 from hil_mock_robot.ur.script_parsing import Statement
-from hil_mock_robot.ur.variables import Series
 
 SINCE: Mapping[str, tuple[tuple[int, int] | None, tuple[int, int] | None]] = {
     "get_inverse_kin_has_solution": ((3, 15), (5, 10)),

@@ -22,8 +22,8 @@ from hil_mock_robot.server.side_channel import (
 from hil_mock_robot.ur.contracts import Link
 from hil_mock_robot.ur.dashboard import pressed
 from hil_mock_robot.ur.faults import UrFaults
-from hil_mock_robot.ur.loop import LockStep, RealTime
 from hil_mock_robot.ur.machine import Machine
+from hil_mock_robot.ur.pacing import LockStep, RealTime
 
 MOST_WAITING = 1_000_000
 """Bytes of requests that wait for the end of a step; the client is hung up on beyond that."""

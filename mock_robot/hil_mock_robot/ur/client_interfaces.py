@@ -1,30 +1,39 @@
-"""The primary and secondary interface: the robot state at 10 Hz, messages, programs in.
+"""The client interfaces: primary (port 30001), secondary (30002) and real-time (30003).
 
-`state_packet` is one packet of sub-packages, the `…_message` functions are single messages; all are
-big-endian, and a text reaches to the end of its message.
+Primary and secondary clients are sent the robot state at 10 Hz (`state_packet`, a packet of
+sub-packages), primary ones also messages (`messages_of`); a text reaches to the end of its message.
+Real-time clients are sent one packet of doubles per tick (`RealtimePacket`). All numbers are
+big-endian. What a client of any of them sends is script text: `ScriptInbox` cuts it into programs,
+which are played, and obeys lines that are no URScript (`CONTROL_LINES`). No page of the maker lists
+all of these; they are the ones that clients send (UR's client library, python-urx and its
+predecessors).
 
 Source: Universal Robots, "Primary and Secondary Interfaces", robot state message of 3.15 and 5.10,
 messages to clients; sizes as in a state packet of software 5.8 (1386 bytes, tests of UR's client
 library). CB3: a UR10 of 3.5.3 sends 1350 (python-urx issue 65), which is this without what is the
 tool's in 11 and 12, and without the last byte of the master board, which that library reads on
-both series.
+both series. Universal Robots, "Realtime Client Interface", tables up to 5.10.
 """
 
 from __future__ import annotations
 
+import math
+import re
 import struct
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from enum import IntEnum
 from functools import cache
 
 from hil.arms import ArmDescription
 from hil_mock_robot.plant.records import FAULTS, PROTECTIVE_STOP, RUNAWAY
 from hil_mock_robot.ur.contracts import Link
-from hil_mock_robot.ur.inbox import ScriptInbox
 from hil_mock_robot.ur.machine import Event, Machine
 from hil_mock_robot.ur.modes import RobotMode, RuntimeState, SafetyMode
-from hil_mock_robot.ur.variables import Series
+from hil_mock_robot.ur.rtde_variables import Series, Values
+from hil_mock_robot.ur.script_parsing import opens_block, stripped
+from hil_mock_robot.ur.scripts import play, run_beside
 
 PRIMARY, SECONDARY = 30001, 30002
 RATE_HZ = 10
@@ -159,7 +168,7 @@ def _error_messages(event: Event, now_s: float) -> list[bytes]:
 
 
 ROBOT_MESSAGE = 20
-NAME = b"URControl"
+CONTROLLER_NAME = b"URControl"
 
 UNTIMED = 0xFFFFFFFFFFFFFFFF
 """Time of what is told on connecting: clients that look for a packet by its first bytes, such as
@@ -217,7 +226,11 @@ def greeting(series: Series) -> bytes:
 def _version(series: Series) -> bytes:
     major, minor, bugfix, _ = series.version
     date = time.strftime("%d-%m-%Y, %H:%M:%S", time.strptime(series.date, "%b %d %Y"))
-    body = struct.pack(">b", len(NAME)) + NAME + struct.pack(">BBii", major, minor, bugfix, 0)
+    body = (
+        struct.pack(">b", len(CONTROLLER_NAME))
+        + CONTROLLER_NAME
+        + struct.pack(">BBii", major, minor, bugfix, 0)
+    )
     return message(3, body + date.encode(), None)
 
 
@@ -369,7 +382,7 @@ def _force_mode(machine: Machine) -> bytes:
 
 UNCALIBRATED = 0xFFFFFFFF
 
-DEFAULTS = (1.0472, 1.3963, 0.25, 1.2, 0.25)
+MOTION_DEFAULTS = (1.0472, 1.3963, 0.25, 1.2, 0.25)
 """Joint speed [rad/s], joint acceleration, tool speed [m/s], tool acceleration, radius [m]."""
 
 ROBOT_TYPES = {"ur5": 1, "ur10": 2, "ur3": 3}
@@ -390,8 +403,293 @@ def configuration(arm: ArmDescription, series: Series) -> bytes:
     a, alpha, d, theta = arm.dh.T.tolist()
     ranges = [each for pair in zip(arm.q_min, arm.q_max, strict=True) for each in pair]
     motion = [each for pair in zip(arm.qd_max, arm.qdd_max, strict=True) for each in pair]
-    numbers = struct.pack(">53d", *ranges, *motion, *DEFAULTS, *a, *d, *alpha, *theta)
+    numbers = struct.pack(">53d", *ranges, *motion, *MOTION_DEFAULTS, *a, *d, *alpha, *theta)
     kind = ROBOT_TYPES[arm.name.removesuffix("e")]
     if series.is_e:
         return numbers + struct.pack(">4i", BOARD_E, BOX_E, kind, SUBTYPE_E)
     return numbers + struct.pack(">4i", BOARD_CB3, BOX_CB3, kind, SUBTYPE_CB3)
+
+
+REALTIME_FIELDS: tuple[tuple[str, int], ...] = (
+    ("timestamp", 1),
+    ("target_q", 6),
+    ("target_qd", 6),
+    ("target_qdd", 6),
+    ("target_current", 6),
+    ("target_moment", 6),
+    ("actual_q", 6),
+    ("actual_qd", 6),
+    ("actual_current", 6),
+    ("joint_control_output", 6),
+    ("actual_TCP_pose", 6),
+    ("actual_TCP_speed", 6),
+    ("actual_TCP_force", 6),
+    ("target_TCP_pose", 6),
+    ("target_TCP_speed", 6),
+    ("actual_digital_input_bits", 1),
+    ("joint_temperatures", 6),
+    ("", 2),  # run time of the controller's thread; a test value
+    ("robot_mode", 1),
+    ("joint_mode", 6),
+    ("safety_mode", 1),
+    ("", 6),
+    ("actual_tool_accelerometer", 3),
+    ("", 6),
+    ("speed_scaling", 1),
+    ("actual_momentum", 1),
+    ("", 2),
+    ("actual_main_voltage", 1),
+    ("actual_robot_voltage", 1),
+    ("actual_robot_current", 1),
+    ("actual_joint_voltage", 6),
+    ("actual_digital_output_bits", 1),
+    ("runtime_state", 1),
+)
+"""RTDE's name for each field, and how many doubles it is; `""`: zeros."""
+
+ELBOW_FIELDS = (("elbow_position", 3), ("elbow_velocity", 3))
+SAFETY_FIELDS = (("safety_status", 1),)
+PAYLOAD_FIELDS = (("", 3), ("payload", 1), ("payload_cog", 3), ("payload_inertia", 6))
+
+
+def realtime_fields_of(series: Series) -> tuple[tuple[str, int], ...]:
+    """Fields of a packet, which have grown from version to version."""
+    fields = REALTIME_FIELDS
+    for more, cb3, e in (
+        (ELBOW_FIELDS, (3, 5), (5, 0)),
+        (SAFETY_FIELDS, (3, 10), (5, 4)),
+        (PAYLOAD_FIELDS, None, (5, 10)),
+    ):
+        if series.at_least(cb3, e):
+            fields += more
+    return fields
+
+
+@dataclass(frozen=True, slots=True)
+class RealtimePacket:
+    """How a packet is made of RTDE's outputs.
+
+    Attributes:
+        places: Where each double lies in `Values.flat`, -1 for a zero.
+        layout: Size and doubles, big-endian.
+    """
+
+    places: tuple[int, ...]
+    layout: struct.Struct
+
+    def pack(self, outputs: Values) -> bytes:
+        """The packet of this tick."""
+        flat = outputs.flat
+        doubles = [flat[i] if i >= 0 else 0.0 for i in self.places]
+        return self.layout.pack(self.layout.size, *doubles)
+
+
+def realtime_packet_of(series: Series, outputs: Values) -> RealtimePacket:
+    """The packet of a controller's software."""
+    places: list[int] = []
+    for name, count in realtime_fields_of(series):
+        known = outputs.variables.get(name)
+        places += known.places if known is not None else [-1] * count
+    return RealtimePacket(tuple(places), struct.Struct(f">i{len(places)}d"))
+
+
+class RealtimeService:
+    """Port 30003.
+
+    Args:
+        machine: The controller.
+
+    Attributes:
+        port: TCP port.
+    """
+
+    port = 30003
+
+    def __init__(self, machine: Machine) -> None:
+        self._machine = machine
+        self._packet = realtime_packet_of(machine.series, machine.outputs)
+
+    def accept(self, link: Link) -> RealtimeSession:
+        """Packets follow from the next tick on."""
+        return RealtimeSession(self._machine, self._packet, link)
+
+
+class RealtimeSession:
+    """One client; it may only send programs and never read.
+
+    Args:
+        machine: The controller.
+        packet: What it is sent.
+        link: The connection.
+
+    Attributes:
+        dropped: Packets that it did not take in time.
+    """
+
+    lossless = False
+
+    def __init__(self, machine: Machine, packet: RealtimePacket, link: Link) -> None:
+        self._machine, self._packet, self._link = machine, packet, link
+        self._inbox = ScriptInbox(machine)
+        self.dropped = 0
+
+    def received(self, data: bytes) -> None:
+        """See `Session`: a piece of a program."""
+        self._inbox.feed(data)
+
+    def ticked(self) -> None:
+        """See `Session`: what is left of the last packet comes first, whole packets are dropped."""
+        if self._link.pending:
+            self.dropped += 1
+        else:
+            self._link.send(self._packet.pack(self._machine.outputs))
+
+    def hung_up(self) -> None:
+        """See `Session`."""
+
+
+LARGEST_TEXT = 1_000_000
+"""Bytes of one program; nobody uploads more."""
+
+MOST_LINES = 20_000
+"""Of one program: they are all read between two ticks."""
+
+_BEGINS = re.compile(r"(def|sec)\b")
+_SECONDARY = re.compile(r"\s*sec\b")
+
+
+class ScriptInbox:
+    """What one client sends to port 30001, 30002 or 30003.
+
+    A program is over with the `end` of its `def`, or with an `end` at the very left where what is
+    inside is indented. A statement outside any `def` is a program of its own. Whatever arrives
+    stops the program that plays, except secondary programs (`sec`), which run beside it, and the
+    `CONTROL_LINES`, which are no program. In local control nothing arrives, as on
+    e-Series.
+
+    Args:
+        machine: Which plays the programs.
+    """
+
+    def __init__(self, machine: Machine) -> None:
+        self._machine = machine
+        self._rest = bytearray()
+        self._lines: list[str] = []
+        self._size = self._open = 0
+        self._indented = self._deaf = False
+
+    def feed(self, data: bytes) -> None:
+        """Some bytes came, cut anywhere; after too long a program none of them count any more."""
+        if self._deaf:
+            return
+        self._rest += data
+        *lines, rest = self._rest.split(b"\n")
+        self._rest = bytearray(rest)
+        if len(rest) > LARGEST_TEXT:
+            self._drop()
+        for line in lines:
+            if self._deaf:
+                return
+            self._take(line.decode("utf-8", "replace").rstrip("\r").replace("\0", ""))
+
+    def _take(self, line: str) -> None:
+        bare = stripped(line)
+        if not self._lines and not bare:
+            return
+        self._lines.append(line)
+        self._size += len(line) + 1
+        if self._size > LARGEST_TEXT or len(self._lines) > MOST_LINES:
+            self._drop()
+        elif len(self._lines) == 1:
+            self._open = int(_BEGINS.match(bare) is not None)
+            self._indented = False
+        else:
+            self._count(line, bare)
+        if self._lines and self._open == 0:
+            self._play()
+
+    def _count(self, line: str, bare: str) -> None:
+        if len(self._lines) == 2:
+            self._indented = line[:1].isspace()
+        if opens_block(bare):
+            self._open += 1
+        elif bare == "end":
+            outermost = self._indented and not line[:1].isspace()
+            self._open = 0 if outermost else self._open - 1
+
+    def _play(self) -> None:
+        text = "\n".join(self._lines) + "\n"
+        self._forget()
+        machine = self._machine
+        if machine.series.is_e and not machine.modes.remote:
+            return
+        if obey_line(stripped(text) if text.count("\n") == 1 else "", machine):
+            return
+        if _SECONDARY.match(text):
+            run_beside(text, machine)
+        else:
+            play(text, machine)
+
+    def _drop(self) -> None:
+        self._deaf = True
+        self._rest.clear()
+        self._forget()
+        most = f"{LARGEST_TEXT} bytes or {MOST_LINES} lines"
+        self._machine.tell("error", text=f"a program is longer than {most}")
+
+    def _forget(self) -> None:
+        self._lines, self._size, self._open = [], 0, 0
+
+
+SET_SPEED = "set speed "
+
+
+def _nothing(machine: Machine) -> None:
+    """Accepted without effect: the mock has no second arm to simulate, and nobody pushes it."""
+
+
+def _run(machine: Machine) -> None:
+    """Switch on and release the brakes; an arm that runs already goes on with what it does."""
+    machine.modes.release_brakes()
+
+
+CONTROL_LINES: Mapping[str, Callable[[Machine], object]] = {
+    "pause program": lambda machine: machine.pause(),
+    "power off": lambda machine: machine.modes.power_off(),
+    "power on": lambda machine: machine.modes.power_on(),
+    "resume program": lambda machine: machine.resume(),
+    "run program": _nothing,
+    "set real": _nothing,
+    "set robotmode freedrive": _nothing,
+    "set robotmode run": _run,
+    "set sim": _nothing,
+    "set unlock protective stop": lambda machine: machine.modes.unlock(),
+    "stop program": lambda machine: machine.halt(),
+}
+
+
+def obey_line(line: str, machine: Machine) -> bool:
+    """Do what a line says; False when it is none of these, and so a program.
+
+    Args:
+        line: Without comment and space around it.
+        machine: The controller.
+    """
+    words = " ".join(line.split())
+    if words.startswith(SET_SPEED):
+        return _set_speed(words.removeprefix(SET_SPEED), machine)
+    action = CONTROL_LINES.get(words)
+    if action is None:
+        return False
+    action(machine)
+    return True
+
+
+def _set_speed(text: str, machine: Machine) -> bool:
+    try:
+        fraction = float(text)
+    except ValueError:
+        return False
+    if math.isfinite(fraction):
+        machine.speed_fraction = min(max(fraction, 0.0), 1.0)
+    return True

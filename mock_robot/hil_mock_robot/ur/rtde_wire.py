@@ -18,7 +18,7 @@ from operator import itemgetter
 from typing import Any
 
 from hil_mock_robot.ur.contracts import Link
-from hil_mock_robot.ur.variables import Values, Variable
+from hil_mock_robot.ur.rtde_variables import Values, Variable
 
 HEADER = struct.Struct(">HB")
 """Length of the whole package, and its kind. Two bytes of length bound what must be kept."""

@@ -1,0 +1,79 @@
+"""Motions that cannot be: beyond a joint's range, through a singularity, to no finite number.
+
+All end in `MotionImpossible`, with UR's code of a protective stop where there is one.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.arms import ArmDescription
+from hil.core import CommandRefused, FloatArray
+
+JOINT_LIMITS, SINGULARITY, SUDDEN_CHANGE = 150, 154, 204
+
+STOP_TEXTS = {
+    JOINT_LIMITS: "Position close to joint limits",
+    SINGULARITY: "Position in singularity",
+    SUDDEN_CHANGE: "Path sanity check: Sudden change in target position",
+}
+"""UR's error codes C… that motions lead to, and what they are called.
+
+Source: Universal Robots, "Service Manual", chapter on error codes.
+"""
+
+
+class MotionImpossible(CommandRefused):
+    """A motion cannot begin or cannot go on; raised by `advance` alone.
+
+    Args:
+        text: What is wrong, as the pendant would say it.
+        code: UR's code of a protective stop, or 0 for a runtime error of the program.
+
+    Attributes:
+        text, code: The same.
+    """
+
+    def __init__(self, text: str, code: int = 0, *, hint: str = "") -> None:
+        named = f"C{code}: {STOP_TEXTS[code]}: {text}" if code else text
+        super().__init__(named, hint=hint or "command a motion that the arm can make")
+        self.text, self.code = named, code
+
+
+TOLERANCE_RAD = 1e-6
+
+
+def require_within(arm: ArmDescription, q: FloatArray) -> None:
+    """Refuse a target (6,) [rad] beyond the joint limits.
+
+    Raises:
+        MotionImpossible: With code 150.
+    """
+    beyond = (q > arm.q_max + TOLERANCE_RAD) | (q < arm.q_min - TOLERANCE_RAD)
+    if beyond.any():
+        raise out_of_range(arm, int(beyond.argmax()))
+
+
+def out_of_range(arm: ArmDescription, joint: int) -> MotionImpossible:
+    """What is raised when a joint would leave its range."""
+    low, high = arm.q_min[joint], arm.q_max[joint]
+    return MotionImpossible(
+        f"joint {joint + 1} must stay between {low:.4f} and {high:.4f} rad", JOINT_LIMITS
+    )
+
+
+def require_finite(*numbers: float | FloatArray) -> None:
+    """Refuse what is no number.
+
+    Raises:
+        MotionImpossible: With code 204.
+    """
+    if not all(np.isfinite(each).all() for each in numbers):
+        raise MotionImpossible("a target is not a finite number", SUDDEN_CHANGE)
+
+
+def joint_leaving_range(arm: ArmDescription, q: FloatArray, qd: FloatArray) -> int | None:
+    """The joint that is beyond its range and goes on outwards, or None."""
+    beyond = (q > arm.q_max + TOLERANCE_RAD) & (qd > 0)
+    beyond |= (q < arm.q_min - TOLERANCE_RAD) & (qd < 0)
+    return int(beyond.argmax()) if beyond.any() else None
