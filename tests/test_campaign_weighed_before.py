@@ -18,7 +18,7 @@ from hil.planning.plan import Plan, Step
 from hil.recording.recorder import Recorder
 from hil.recording.run_directory import RunDirectory
 from hil.robot import Capabilities
-from hil.workflow.payload_check import is_whole, weighed_before
+from hil.workflow.payload_check import all_reliable, readings_of_earlier_attempts
 from hil.workflow.running import RunReport
 from hil_mock_robot.embedded.robot import MockRobot
 
@@ -88,7 +88,7 @@ def resume_with_load_left_on(run: Path, **options: Any) -> RunReport:
 def earlier(run: Path) -> Any:
     directory, plan = RunDirectory.open(run), plan_of(run)
     can = Capabilities(plan.joint_names, plan.rate_hz, "torque", ())
-    return weighed_before(plan, directory.recordings, can)
+    return readings_of_earlier_attempts(plan, directory.recordings, can)
 
 
 def test_the_right_load_passes_and_the_run_is_completed(
@@ -138,7 +138,7 @@ def test_a_first_load_that_was_weighed_and_measured_is_not_mounted_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, plan: Plan
 ) -> None:
     run = stopped_run(tmp_path, monkeypatch, of_load(plan, 1, "dwell")[1].index, SWEEP)
-    assert is_whole(earlier(run))
+    assert all_reliable(earlier(run))
     told = Told(monkeypatch)
     assert hil.resume(run).outcome == "completed"
     assert told.said == ["Mount 3 kg", "3 kg"]
@@ -169,7 +169,7 @@ def test_a_first_load_weighed_for_the_others_alone_is_remembered(
     with monkeypatch.context() as patch:
         mounts(patch, lambda declared: Payload())
         assert isinstance(hil.resume(run).error, PreflightFailed)
-    assert is_whole(earlier(run))
+    assert all_reliable(earlier(run))
     told = Told(monkeypatch)
     assert hil.resume(run).outcome == "completed"
     assert told.said == ["Mount 3 kg", "3 kg"]

@@ -18,7 +18,7 @@ from hil.planning.build import build_plan
 from hil.planning.plan import Plan, Step
 from hil.robot import Capabilities, state_dtype
 from hil.spec.experiment import Weigh
-from hil.workflow.payload_check import Readings, Weighing, gains_of, reading_of
+from hil.workflow.payload_check import PayloadCheck, Readings, gains_of, reading_of
 from hil_mock_robot.embedded.robot import MockRobot
 
 UPRIGHT = (0.0, 0.0, -9.81)
@@ -81,7 +81,7 @@ def weigh(
     robot.mounted = mounted
     robot.connect()
     sink = ListSink()
-    weighing = Weighing(
+    weighing = PayloadCheck(
         plan,
         UPRIGHT,
         robot.capabilities,
@@ -110,7 +110,9 @@ class Scales:
         can = Capabilities(plan.joint_names, plan.rate_hz, self.effort_kind, tuple(self.gains))
         self.can = can
         self.model = RobotModel.from_arm(plan.robot_model)
-        self.weighing = Weighing(plan, UPRIGHT, can, Weigh(), event=self._event, waived=self.waived)
+        self.weighing = PayloadCheck(
+            plan, UPRIGHT, can, Weigh(), event=self._event, waived=self.waived
+        )
 
     def _event(self, kind: str, **details: Any) -> None:
         self.events.append({"kind": kind, **details})

@@ -1,13 +1,16 @@
-"""Is the load mounted the load declared? Judged before anything is measured with it.
+"""Payload check: is the load that is mounted the load declared? Judged before anything is measured.
 
-The engine hands over what every dwell measured (`Engine(..., measured=weighing.measured)`). What a
-load adds to the torques of the first one at the same poses is compared with what the declared
-loads would make of them, so that friction and what is not known of the arm cancel. The verdict has
-figures for people and for the event log.
+The engine hands over what every dwell measured (`Engine(..., measured=check.measured)`). At each
+weighing pose the arm rests twice, approached from below and from above: the mean of the two is the
+torque, half their difference the friction (`combined_reading`). What a load adds to the torques of
+the first one at the same poses is compared with what the declared loads would add, so that
+friction and what is not known of the arm cancel (`compare_loads`). The first load itself is taken
+on trust. A `LoadVerdict` has figures for people and for the event log; a load that is not as
+declared stops the run, unless that was waived.
 
-A resumed run takes what its first load weighed from the recordings of earlier attempts. A weighing
-counts once its attempt went on past it: one that was refused, or given up, says nothing about the
-load that was measured with.
+A resumed run takes what its first load weighed from the recordings of earlier attempts
+(`readings_of_earlier_attempts`). A check counts once its attempt went on past it: one that was
+refused, or given up, says nothing about the load that was measured with.
 """
 
 from __future__ import annotations
@@ -46,14 +49,14 @@ AGAIN_HINT = (
 """For a first load that is not what it was in an earlier attempt."""
 
 
-class Tell(Protocol):
+class RecordEvent(Protocol):
     """Where results go; a sink's `event`."""
 
     def __call__(self, kind: str, **details: Any) -> object:
         """Record an event."""
 
 
-class Weighing:
+class PayloadCheck:
     """Weighs the loads of one run; says at once when it is not going to.
 
     Args:
@@ -72,7 +75,7 @@ class Weighing:
         robot: Capabilities,
         tolerance: Weigh | None,
         *,
-        event: Tell,
+        event: RecordEvent,
         waived: bool = False,
     ) -> None:
         self._plan = plan
@@ -111,7 +114,7 @@ class Weighing:
         Other loads are compared with it, and so is the first load when it is weighed again.
 
         Args:
-            readings: Of `weighed_before`.
+            readings: Of `readings_of_earlier_attempts`.
         """
         if self._not_weighed or not readings:
             return
@@ -142,25 +145,27 @@ class Weighing:
     def _first(self, this: LoadReading) -> None:
         """The first load is taken on trust, and that is said if it should not have to be."""
         if self._before is None:
-            self._event(CHECK, load=0, result="first", **friction_of(this))
+            self._event(CHECK, load=0, result="first", **friction_figures(this))
             return
         problem = f"load 0: its weighing in an earlier attempt cannot be read ({self._before})"
         problem += ", so nobody knows whether it is the load that was measured then"
-        self._event(CHECK, load=0, result="inconclusive", problem=problem, **friction_of(this))
+        self._event(CHECK, load=0, result="inconclusive", problem=problem, **friction_figures(this))
 
     def _compare(self, load: int, first: LoadReading, this: LoadReading) -> None:
         """Judge what a load adds to the first one; to itself, that is nothing."""
         loads = self._plan.loads[0].payload, self._plan.loads[load].payload
-        found = compare(self._model, self._steps[load], loads, (first, this))
+        found = compare_loads(self._model, self._steps[load], loads, (first, this))
         masses = [each.payload.mass for each in self._plan.loads]
-        verdict = Verdict(found, self._tolerance, differs(masses, load), again=load == 0)
+        verdict = LoadVerdict(
+            found, self._tolerance, nearest_alternative_kg(masses, load), again=load == 0
+        )
         if verdict.passed:
             self._pass(load, verdict)
             return
-        told = f"load {load}: {verdict.text(self._plan.joint_names)}"
-        self._refuse(load, told, verdict.figures)
+        problem = f"load {load}: {verdict.text(self._plan.joint_names)}"
+        self._refuse(load, problem, verdict.figures)
 
-    def _pass(self, load: int, verdict: Verdict) -> None:
+    def _pass(self, load: int, verdict: LoadVerdict) -> None:
         """Nothing speaks against the load; whether anything would have is another matter."""
         if verdict.conclusive:
             self._event(CHECK, load=load, result="passed", **verdict.figures)
@@ -177,7 +182,7 @@ class Weighing:
                 side = "below" if step.approach > 0 else "above"
                 return f"at weighing pose {step.pose + 1} from {side}, {reading}"
             found[step.pose, step.approach] = reading
-        return load_reading(found)
+        return combined_reading(found)
 
     def _refuse(self, load: int, problem: str, figures: dict[str, Any]) -> None:
         result = "waived" if self._waived else "failed"
@@ -187,38 +192,11 @@ class Weighing:
             raise PreflightFailed(f"{CHECK}: {problem}", hint=AGAIN_HINT if compared else HINT)
 
 
-FRICTION_LEFT = 0.05
-"""Share of half the difference between the two approaches by which their mean errs (standard
-deviation); measured on the mock, see docs/explanation/weighing.md."""
-
-CHANGE_LEFT = 0.5
-"""Share of what that half difference has changed by since the first load: friction that one side
-alone has lost or gained moves the mean as well, and the arm has become warmer."""
-
-LEAST_NM = 0.01
-"""Least standard deviation of a torque [N·m]: a simulation without noise has none."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Reading:
     """The settled samples of one dwell: mean `torque` (n,) [N·m], `variance` (n,) of that mean."""
 
     torque: FloatArray
-    variance: FloatArray
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LoadReading:
-    """One load at all poses, both approaches put together.
-
-    Attributes:
-        torque: (P, n) mean of the two approaches [N·m].
-        half_difference: (P, n) of the two approaches: friction [N·m].
-        variance: (n,) of `torque`: what friction leaves, and noise [N²·m²].
-    """
-
-    torque: FloatArray
-    half_difference: FloatArray
     variance: FloatArray
 
 
@@ -248,7 +226,27 @@ def reading_of(rows: StructArray, gains: FloatArray | float, settle_rad_s: float
     return Reading(effort.mean(axis=0), effort.var(axis=0) / len(usable))
 
 
-def load_reading(readings: Mapping[tuple[int, int], Reading]) -> LoadReading:
+@dataclass(frozen=True, slots=True, eq=False)
+class LoadReading:
+    """One load at all poses, both approaches put together.
+
+    Attributes:
+        torque: (P, n) mean of the two approaches [N·m].
+        half_difference: (P, n) of the two approaches: friction [N·m].
+        variance: (n,) of `torque`: what friction leaves, and noise [N²·m²].
+    """
+
+    torque: FloatArray
+    half_difference: FloatArray
+    variance: FloatArray
+
+
+FRICTION_LEFT = 0.05
+"""Share of half the difference between the two approaches by which their mean errs (standard
+deviation); measured on the mock, see docs/explanation/weighing.md."""
+
+
+def combined_reading(readings: Mapping[tuple[int, int], Reading]) -> LoadReading:
     """The readings of one load by pose and approach (±1), put together."""
     poses = sorted({pose for pose, _ in readings})
     below, above = ([readings[pose, sign] for pose in poses] for sign in (1, -1))
@@ -259,8 +257,16 @@ def load_reading(readings: Mapping[tuple[int, int], Reading]) -> LoadReading:
     return LoadReading((up + down) / 2, half, friction + noise)
 
 
+CHANGE_LEFT = 0.5
+"""Share of what that half difference has changed by since the first load: friction that one side
+alone has lost or gained moves the mean as well, and the arm has become warmer."""
+
+LEAST_NM = 0.01
+"""Least standard deviation of a torque [N·m]: a simulation without noise has none."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class Comparison:
+class LoadComparison:
     """A load as weighed, beside what was declared.
 
     Attributes:
@@ -292,12 +298,12 @@ class Comparison:
         return 0.0 if self.declared.is_empty else float(np.linalg.norm(self.shift_m))
 
 
-def compare(
+def compare_loads(
     model: RobotModel,
     steps: Sequence[Step],
     loads: tuple[Payload, Payload],
     readings: tuple[LoadReading, LoadReading],
-) -> Comparison:
+) -> LoadComparison:
     """Weigh a load against the first one.
 
     Args:
@@ -316,7 +322,7 @@ def compare(
     torque = np.where(np.abs(found) > np.abs(declared), found, declared)
     seen: Weighed = Balance(columns, torque, deviation, load.com).weigh(found - declared)
     per_kg = np.nan if load.is_empty else 1 / load.mass
-    return Comparison(
+    return LoadComparison(
         declared=load,
         first_kg=first.mass,
         weighed_kg=load.mass + seen.mass,
@@ -337,15 +343,15 @@ def _deviation(first: LoadReading, this: LoadReading) -> FloatArray:
     return np.asarray(np.sqrt(np.maximum(variance, LEAST_NM**2)))
 
 
-TELLING = 0.5
-"""Share of the difference between two loads that a limit must stay below to tell them apart."""
-
 SURE = 4.0
 """In standard deviations: what is no further off than this may be the weighing's own error."""
 
+TELLING = 0.5
+"""Share of the difference between two loads that a limit must stay below to tell them apart."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Verdict:
+class LoadVerdict:
     """A comparison and how far off it may be.
 
     A weighing that is less certain than the tolerances ask for (a short reach, stiff joints) is
@@ -359,7 +365,7 @@ class Verdict:
         again: Whether it is the first load itself, against what it weighed in an earlier attempt.
     """
 
-    found: Comparison
+    found: LoadComparison
     tolerance: Weigh
     differs_kg: float
     again: bool = False
@@ -433,10 +439,10 @@ class Verdict:
 
     def text(self, joint_names: Sequence[str]) -> str:
         """What is wrong, joint by joint."""
-        told = self._masses
+        headline = self._masses
         if not self.com_passed:
-            told += f"; {self._centre()}"
-        return "\n".join([told, *_by_joint(self.found, joint_names)])
+            headline += f"; {self._centre()}"
+        return "\n".join([headline, *_by_joint(self.found, joint_names)])
 
     @property
     def doubt(self) -> str:
@@ -475,7 +481,7 @@ def _plain(value: FloatArray | float) -> Any:
     return round(float(value), 4) if np.isfinite(value) else None
 
 
-def _by_joint(found: Comparison, joint_names: Sequence[str]) -> list[str]:
+def _by_joint(found: LoadComparison, joint_names: Sequence[str]) -> list[str]:
     declared, weighed = (
         [", ".join(f"{round(value, 1) + 0.0:.1f}" for value in column) for column in torque.T]
         for torque in (found.declared_nm, found.found_nm)
@@ -491,7 +497,7 @@ def _point(at: Sequence[float] | FloatArray) -> str:
     return f"({', '.join(f'{x:.3f}' for x in at)})"
 
 
-def differs(masses: Sequence[float], load: int) -> float:
+def nearest_alternative_kg(masses: Sequence[float], load: int) -> float:
     """By how much [kg] a load differs from the first one, which may have been left on.
 
     One that weighs the same as the first: from the load of another mass that is nearest.
@@ -501,7 +507,7 @@ def differs(masses: Sequence[float], load: int) -> float:
     return abs(own - masses[0]) or min(others, default=0.0)
 
 
-def friction_of(first: LoadReading) -> dict[str, Any]:
+def friction_figures(first: LoadReading) -> dict[str, Any]:
     """What the first load's weighing says beside being the first: friction, pose by pose."""
     return {"half_difference_nm": _plain(first.half_difference)}
 
@@ -510,7 +516,9 @@ Readings = dict[int, Reading | str]
 """Weighing dwell → what it says, or why it says nothing."""
 
 
-def weighed_before(plan: Plan, recordings: Iterable[Path], robot: Capabilities) -> Readings:
+def readings_of_earlier_attempts(
+    plan: Plan, recordings: Iterable[Path], robot: Capabilities
+) -> Readings:
     """The first load's weighing dwells in the newest attempt whose weighing counts.
 
     Args:
@@ -534,13 +542,13 @@ def weighed_before(plan: Plan, recordings: Iterable[Path], robot: Capabilities) 
         # An attempt under later loads alone had no need to weigh the first one.
         if seen.isdisjoint(past) or (found and not rows):
             continue
-        own = {index: _reading(plan, steps[index], rows, robot) for index in steps}
-        if is_whole(own) or not is_whole(found):
+        own = {index: _reading_of_step(plan, steps[index], rows, robot) for index in steps}
+        if all_reliable(own) or not all_reliable(found):
             found = own
     return found
 
 
-def _reading(
+def _reading_of_step(
     plan: Plan, step: Step, recorded: Mapping[int, StructArray], robot: Capabilities
 ) -> Reading | str:
     rows = recorded.get(step.index)
@@ -555,6 +563,6 @@ def _reading(
         return error.message
 
 
-def is_whole(readings: Mapping[int, Reading | str]) -> bool:
+def all_reliable(readings: Mapping[int, Reading | str]) -> bool:
     """Whether there are readings and each of them can be relied on."""
     return bool(readings) and not any(isinstance(one, str) for one in readings.values())

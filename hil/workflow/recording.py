@@ -48,7 +48,7 @@ from hil.workflow.live_state import ArmView, LiveState
 from hil.workflow.motion_confirmation import Confirm, Gate, Unconfirmed, loads_document, was_shown
 from hil.workflow.operator import prompt_on, require_attended
 from hil.workflow.payload_check import CHECK as WEIGHING
-from hil.workflow.payload_check import Readings, Weighing
+from hil.workflow.payload_check import PayloadCheck, Readings
 from hil.workflow.remote_control import Control, hold_attempt
 
 
@@ -345,7 +345,7 @@ def _engine(
         observers=attendance.observers,
         prompt=prompt,
         go_on=attendance.go_on,
-        measured=_weighing(attempt, robot, sink, attendance).measured,
+        measured=_payload_check(attempt, robot, sink, attendance).measured,
         health=sink.health,
         stale_after_s=interlocks.stale_after_s,
         steps=len(attempt.plan) if attempt.number else None,
@@ -357,10 +357,12 @@ def _engine(
     return engine
 
 
-def _weighing(attempt: Attempt, robot: Robot, sink: RunSink, attendance: Attendance) -> Weighing:
+def _payload_check(
+    attempt: Attempt, robot: Robot, sink: RunSink, attendance: Attendance
+) -> PayloadCheck:
     """The judge of what is mounted; in a resumed run it knows what the first load weighed."""
     experiment = attempt.experiment
-    weighing = Weighing(
+    check = PayloadCheck(
         attempt.plan,
         experiment.robot.gravity_m_s2,
         robot.capabilities,
@@ -368,8 +370,8 @@ def _weighing(attempt: Attempt, robot: Robot, sink: RunSink, attendance: Attenda
         event=sink.event,
         waived=WEIGHING in attendance.waivers,
     )
-    weighing.restore(attempt.before.first_load)
-    return weighing
+    check.restore(attempt.before.first_load)
+    return check
 
 
 def _preflight(attempt: Attempt, robot: Robot, attendance: Attendance) -> Callable[[], None]:
@@ -398,7 +400,7 @@ class Before:
     Attributes:
         counts: Of the robot record, see `Recorded.counts`.
         device_s: Device time of their samples [s].
-        first_load: What the first load weighed, see `weighed_before`.
+        first_load: What the first load weighed, see `readings_of_earlier_attempts`.
     """
 
     counts: Mapping[str, int] = field(default_factory=lambda: NOTHING)

@@ -42,7 +42,7 @@ from hil.workflow.interlocks import RunInterlocks
 from hil.workflow.judging import forget
 from hil.workflow.motion_confirmation import Gate, Granted, MotionFacts, was_shown
 from hil.workflow.operator import prompt_on, require_attended
-from hil.workflow.payload_check import Readings, is_whole, weighed_before
+from hil.workflow.payload_check import Readings, all_reliable, readings_of_earlier_attempts
 from hil.workflow.recording import (
     COUNTED,
     NOTHING,
@@ -226,7 +226,7 @@ def _remaining(unfinished: Unfinished, robot: Robot) -> tuple[Plan, Readings, bo
     require_same_robot(directory, describe_robot(robot, unfinished.experiment.robot))
     require_usable(unfinished.experiment, robot)
     cold = _is_cold(unfinished, robot)
-    weighed = weighed_before(plan, directory.recordings, robot.capabilities)
+    weighed = readings_of_earlier_attempts(plan, directory.recordings, robot.capabilities)
     todo = _confirmed(_todo(unfinished, robot, weighed, cold=cold), directory)
     return todo, weighed, cold
 
@@ -276,7 +276,7 @@ def _todo(unfinished: Unfinished, robot: Robot, weighed: Readings, *, cold: bool
         here=here,
         targets=np.array([motion.q_end for motion in plan.motions]),
     )
-    again = bool(weighed) and not is_whole(weighed)
+    again = bool(weighed) and not all_reliable(weighed)
     left = remaining_steps(plan, unfinished.complete.done, cold=cold, weigh_first=again)
     return replace(plan, steps=tuple(connected_steps(left, here, approach.way)))
 
