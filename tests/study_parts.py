@@ -13,11 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.core import plugins
+from hil.core import json_document, plugins
 from hil.core.errors import FitError, SpecError
 from hil.data.dataset import Dataset
 from hil.dynamics import RobotModel
-from hil.estimators import json_bytes
 from hil.studies.base import GROUP, Ended, Progress, Study, silent, tell_ended
 from hil.studies.figure import Curve, Figure, Panel
 from hil.studies.result import Part, StudyResult, Table
@@ -103,7 +102,7 @@ def result(*figures: Figure, tables: tuple[Table, ...] = (), study: str = "count
 
 def assert_figures_survive_json(found: StudyResult) -> None:
     """What is read from `study.json` is what was written; compared as text, where NaN is NaN."""
-    again = StudyResult.from_dict(json.loads(json_bytes(found.to_dict())))
+    again = StudyResult.from_dict(json.loads(json_document(found.to_dict())))
     for before, after in zip(found.parts, again.parts, strict=True):
         for one, other in zip(before.figures, after.figures, strict=True):
             assert repr(other) == repr(one)

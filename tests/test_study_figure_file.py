@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from study_parts import assert_figures_survive_json, bars, result, six_panels
 
-from hil.core import DataError
-from hil.estimators import json_bytes
+from hil.core import DataError, json_document
 from hil.studies.figure import (
     Axis,
     Band,
@@ -62,7 +61,7 @@ def test_a_figure_of_the_first_files_is_read() -> None:
     panel = {"title": "a", "x_title": "b", "y_title": "c", "curves": [curve], "corner": ""}
     raw = {"key": "f", "title": "t", "caption": "", "panels": [panel], "per_row": 1}
     read = figure_from_dict(raw)
-    assert json.loads(json_bytes(read.to_dict())) == raw
+    assert json.loads(json_document(read.to_dict())) == raw
     assert read.panels[0].curves[0].look is None
 
 
