@@ -21,6 +21,8 @@ SAMPLE = HERE / "sample.tar.xz"
 def entered(unpacked: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Copy the sample into a folder and make the copy the working directory."""
     lab = Path(shutil.copytree(unpacked, folder / "lab"))  # with its times: locks are old
+    # The sample names its registry by the path that it had where it was made.
+    (lab / "runs" / ".registries").write_text(json.dumps(str(lab / "registry")) + "\n", "utf-8")
     monkeypatch.chdir(lab)
     monkeypatch.setenv("HIL_LEASES", str(folder / "leases"))
     monkeypatch.delenv("HIL_STATION", raising=False)
