@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.data.approach_path import POINTS
+from hil.data.arrivals import ARRIVAL_POINTS
 from hil.data.dataset import Conditions, Dataset
 from hil.dynamics import RobotModel, load_model
 
@@ -74,11 +74,11 @@ def program(
 
 
 def _paths(side: np.ndarray, slid: np.ndarray) -> np.ndarray:
-    """(S, POINTS, 2, 6): from 1 mrad away past the place of rest by `slid`, and back to it."""
-    half = POINTS // 2
+    """(S, ARRIVAL_POINTS, 2, 6): from 1 mrad away past the place of rest by `slid`, and back."""
+    half = ARRIVAL_POINTS // 2
     there = np.linspace(-1e-3, 0.0, half)[:, None, None] * side + np.linspace(0.0, 1.0, half)[
         :, None, None
     ] * (slid * side)
-    back = np.linspace(1.0, 0.0, POINTS - half)[:, None, None] * (slid * side)
+    back = np.linspace(1.0, 0.0, ARRIVAL_POINTS - half)[:, None, None] * (slid * side)
     q = np.concatenate([there, back]).transpose(1, 0, 2)
     return np.stack([q, np.gradient(q, STEP_S, axis=1)], axis=2)

@@ -10,7 +10,7 @@ import numpy as np
 from hil.arms.payload import Payload
 from hil.core.typing import FloatArray
 from hil.data import Conditions, Dataset
-from hil.data.approach_path import POINTS, STEP_S
+from hil.data.arrivals import ARRIVAL_POINTS, ARRIVAL_STEP_S
 from hil.dynamics import RobotModel, load_model
 
 GAINS = np.array([10.0, 11.0, 9.0, 8.0, 7.0, 6.0])
@@ -180,8 +180,8 @@ def arriving(
 
 def arrivals_of(side: FloatArray, slid: FloatArray) -> FloatArray:
     """Paths (D, K, 2, n) that come from `side` (D, 1), and slide back by `slid` (D, n)."""
-    way = (np.arange(POINTS) / 9.0)[None, :, None]
+    way = (np.arange(ARRIVAL_POINTS) / 9.0)[None, :, None]
     coming = -1e-3 + (1e-3 + slid[:, None]) * (1.0 - (1.0 - np.minimum(way, 1.0)) ** 2)
     back = np.clip(way - 1.0, 0.0, 1.0) * slid[:, None]
     position = side[:, None] * (coming - back)
-    return np.stack([position, np.gradient(position, STEP_S, axis=1)], axis=2)
+    return np.stack([position, np.gradient(position, ARRIVAL_STEP_S, axis=1)], axis=2)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_data_stays import motion
+from test_data_passive_plan import motion
 from typer.testing import CliRunner
 
 from hil.arms.payload import Payload

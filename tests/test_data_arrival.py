@@ -8,7 +8,15 @@ from synthetic_motion import arriving, moving
 
 from hil.core.errors import DataError
 from hil.data import Conditions, Dataset
-from hil.data.approach_path import NEAR_RAD, POINTS, QD, Q, Track, arrival, directions
+from hil.data.arrivals import (
+    ARRIVAL_POINTS,
+    ARRIVAL_Q,
+    ARRIVAL_QD,
+    NEAR_RAD,
+    Track,
+    approach_directions,
+    arrival,
+)
 from hil.data.dataset import rows_of
 from hil.data.dwells import dwells_of
 from hil.data.splits import split
@@ -45,11 +53,11 @@ def without(motion, keep):
 
 def test_a_path_begins_near_rest_and_holds_overshoot_and_slide_back() -> None:
     found = path()
-    assert found.shape == (POINTS, 2, 2)
-    assert found[0, Q] == pytest.approx([-NEAR_RAD, NEAR_RAD], rel=1e-6)
-    assert found[:, Q, 0].max() == pytest.approx(SLIDE_RAD, rel=0.05)
+    assert found.shape == (ARRIVAL_POINTS, 2, 2)
+    assert found[0, ARRIVAL_Q] == pytest.approx([-NEAR_RAD, NEAR_RAD], rel=1e-6)
+    assert found[:, ARRIVAL_Q, 0].max() == pytest.approx(SLIDE_RAD, rel=0.05)
     assert found[-1] == pytest.approx(0.0, abs=1e-9)
-    assert found[0, QD, 0] == pytest.approx(np.sqrt(2 * DECELERATION * 1.2e-3), rel=0.05)
+    assert found[0, ARRIVAL_QD, 0] == pytest.approx(np.sqrt(2 * DECELERATION * 1.2e-3), rel=0.05)
 
 
 @pytest.mark.parametrize("late_s", [0.0, 0.003, 0.0051])
@@ -57,16 +65,18 @@ def test_the_path_does_not_depend_on_rate_or_phase_of_the_samples(late_s) -> Non
     fine = path(2000.0)
     for rate_hz in (125.0, 500.0):
         # The encoders of arms resolve 2e-5 rad.
-        assert path(rate_hz, late_s=late_s)[:, Q] == pytest.approx(fine[:, Q], abs=1e-5)
+        assert path(rate_hz, late_s=late_s)[:, ARRIVAL_Q] == pytest.approx(
+            fine[:, ARRIVAL_Q], abs=1e-5
+        )
 
 
 def test_encoder_noise_is_averaged_at_dense_samples() -> None:
-    clean, noisy = path(500.0)[6:, Q], path(500.0, noise_rad=2e-5)[6:, Q]
+    clean, noisy = path(500.0)[6:, ARRIVAL_Q], path(500.0, noise_rad=2e-5)[6:, ARRIVAL_Q]
     assert np.std(noisy - clean) < 1.3e-5
 
 
 def test_directions_are_those_the_joints_came_in() -> None:
-    assert directions(np.stack([path(), path()])).tolist() == [[1.0, -1.0]] * 2
+    assert approach_directions(np.stack([path(), path()])).tolist() == [[1.0, -1.0]] * 2
 
 
 def test_a_joint_that_did_not_move_lately_is_found_further_back() -> None:
@@ -75,7 +85,7 @@ def test_a_joint_that_did_not_move_lately_is_found_further_back() -> None:
     q = np.stack([np.interp(t, early.t, early.q[:, 0]), 0.3 - 0.1 * np.cos(t)], axis=1)
     both = Track(t, q, np.zeros_like(q))
     later = arrival(both, 9.5, 9.7)
-    assert later[:, Q, 0] == pytest.approx(path()[:, Q, 0], abs=1e-12)
+    assert later[:, ARRIVAL_Q, 0] == pytest.approx(path()[:, ARRIVAL_Q, 0], abs=1e-12)
 
 
 def test_a_joint_that_never_moved_has_no_path() -> None:
@@ -84,7 +94,7 @@ def test_a_joint_that_never_moved_has_no_path() -> None:
     found = arrival(motion, REST_FROM, REST_UNTIL)
     assert np.all(np.isnan(found[:, :, 1]))
     assert np.all(np.isfinite(found[:, :, 0]))
-    assert directions(found[None]).tolist() == [[1.0, 0.0]]
+    assert approach_directions(found[None]).tolist() == [[1.0, 0.0]]
 
 
 def test_what_lies_behind_a_gap_is_not_known() -> None:
@@ -104,7 +114,7 @@ def test_a_lost_sample_is_bridged() -> None:
     motion = track(125.0)
     lost = np.arange(len(motion.t)) != round(0.424 * 125)
     found = arrival(without(motion, lost), REST_FROM, REST_UNTIL)
-    assert found[:, Q] == pytest.approx(path()[:, Q], abs=2e-5)
+    assert found[:, ARRIVAL_Q] == pytest.approx(path()[:, ARRIVAL_Q], abs=2e-5)
 
 
 def recording(segments, order=None):

@@ -3,7 +3,7 @@ import pytest
 from synthetic_motion import dataset, dwelling
 
 from hil.data import Conditions, rows_of
-from hil.data.dwells import DwellRule, dwells_of, find_dwells, series_means
+from hil.data.dwells import RestRule, dwells_of, find_dwells, series_means
 
 pytestmark = pytest.mark.quick
 
@@ -75,7 +75,7 @@ def test_planned_dwells_that_did_not_settle_are_left_out() -> None:
     )
     from dataclasses import replace
 
-    found = dwells_of(replace(data, conditions=unsettled), DwellRule())
+    found = dwells_of(replace(data, conditions=unsettled), RestRule())
     assert [c.pose for c in found.conditions] == [0, 1, 2, 4]
 
 

@@ -10,10 +10,10 @@ from hil.data.filters import (
     FilterSettings,
     derivative,
     downsample,
+    downsampling_mask,
     filter_columns,
-    kept_rows,
-    local_slope,
     nyquist_fraction,
+    polynomial_derivative,
     prepare,
     sample_rate,
     zero_phase,
@@ -169,13 +169,13 @@ def test_the_papers_filter_is_refused_at_a_slow_rate_with_the_highest_cutoff() -
 def test_local_slope_on_even_stamps_is_scipys_savitzky_golay(noise, window, degree) -> None:
     t = np.arange(300) * 0.008
     theirs = savgol_filter(noise, window, degree, deriv=1, delta=0.008, axis=0)
-    assert local_slope(noise, t, window, degree) == pytest.approx(theirs, abs=1e-8)
+    assert polynomial_derivative(noise, t, window, degree) == pytest.approx(theirs, abs=1e-8)
 
 
 def test_local_slope_of_a_cubic_is_exact_on_uneven_stamps_to_both_ends() -> None:
     t = np.cumsum(np.tile([0.010, 0.012], 40)) + 5e5
     x = t - t[0]
-    slope = local_slope((4 * x**3 - x)[:, None], t, 7, 3)
+    slope = polynomial_derivative((4 * x**3 - x)[:, None], t, 7, 3)
     assert slope[:, 0] == pytest.approx(12 * x**2 - 1, abs=1e-6)
 
 
@@ -183,13 +183,13 @@ def test_local_slope_does_not_take_alternating_stamps_for_even_ones() -> None:
     t = np.cumsum(np.tile([0.010, 0.012], 300))
     wave, truth = np.sin(6 * t)[:, None], 6 * np.cos(6 * t)
     naive = savgol_filter(wave, 9, 3, deriv=1, delta=0.011, axis=0)[:, 0]
-    ours = local_slope(wave, t, 9, 3)[:, 0]
+    ours = polynomial_derivative(wave, t, 9, 3)[:, 0]
     assert np.abs(ours - truth).max() < 0.01 < 0.1 < np.abs(naive - truth).max()
 
 
 def test_local_slope_needs_as_many_samples_as_its_window() -> None:
     with pytest.raises(DataError, match="8 samples are too few for polynomials over 9"):
-        local_slope(np.zeros((8, 1)), np.arange(8.0), 9, 3)
+        polynomial_derivative(np.zeros((8, 1)), np.arange(8.0), 9, 3)
 
 
 def test_savitzky_golay_and_velocity_from_position_reach_the_columns() -> None:
@@ -216,13 +216,13 @@ def test_downsampling_keeps_every_third_row_of_each_series_from_its_first() -> N
 
 def test_a_rate_is_reached_as_nearly_as_whole_steps_allow() -> None:
     data = prepare(raw(moving(1)))
-    assert kept_rows(data, FilterSettings(rate_hz=30.0)).sum() == 200
+    assert downsampling_mask(data, FilterSettings(rate_hz=30.0)).sum() == 200
     assert downsample(data, FilterSettings()) is data
 
 
 def test_dwells_keep_all_their_samples() -> None:
     columns = {name: np.ones((10, 6)) for name in ("q", "effort")} | {"t": np.arange(10) * 0.008}
-    assert kept_rows(
+    assert downsampling_mask(
         dataset(columns, [10], [Conditions("a", "dwell")]), FilterSettings(every=4)
     ).all()
 

@@ -12,7 +12,7 @@ import pytest
 from hil.core import plugins
 from hil.core.yaml import scalar
 from hil.data.filters import FilterSettings
-from hil.data.parts import BY_SAMPLE
+from hil.data.splits import SAMPLE_SPLIT_PROTOCOL
 from hil.estimators import estimator
 from hil.estimators.base import GROUP, HONEST
 from hil.estimators.static_model import PAPER_PROTOCOL
@@ -63,7 +63,7 @@ def test_protocol_labels_are_those_of_the_models() -> None:
     assert re.findall(r"^\| `(.+?)` \|", section, re.MULTILINE) == [
         HONEST,
         PAPER_PROTOCOL,
-        BY_SAMPLE,
+        SAMPLE_SPLIT_PROTOCOL,
         ResidualSettings(inputs="history").protocol,
         ResidualSettings(inputs="measured").protocol,
     ]

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from synthetic_motion import arrivals_of
 
-from hil.data.approach_path import POINTS, QD, Q
+from hil.data.arrivals import ARRIVAL_POINTS, ARRIVAL_Q, ARRIVAL_QD
 from hil.estimators.friction_memory import states_at_rest
 from hil.estimators.static_friction import (
     Rest,
@@ -22,7 +22,7 @@ LENGTH = 2e-4
 SIDE = np.array([[1.0], [-1.0]])
 
 
-def there_and_back(slid, points=POINTS):
+def there_and_back(slid, points=ARRIVAL_POINTS):
     """(2, K, 1) from 1 mrad away past the place of rest by `slid`, and back to it."""
     half = points // 2
     coming = np.linspace(-1e-3, slid, half)
@@ -50,7 +50,7 @@ def test_a_slide_back_unbends_as_the_closed_form_says(slid) -> None:
 
 
 def test_without_a_slide_back_friction_is_that_of_the_motion() -> None:
-    coming = -SIDE[:, :, None] * np.linspace(1e-3, 0.0, POINTS)[None, :, None]
+    coming = -SIDE[:, :, None] * np.linspace(1e-3, 0.0, ARRIVAL_POINTS)[None, :, None]
     for state in states_at_rest(coming, [0.5e-4, LENGTH, 5e-4]):
         assert state == pytest.approx(SIDE, abs=1e-12)
 
@@ -91,10 +91,10 @@ def test_the_last_step_leads_to_the_place_of_rest() -> None:
 
 
 def test_smoothing_keeps_parabolas_and_takes_noise() -> None:
-    t = np.arange(POINTS, dtype=float)
+    t = np.arange(ARRIVAL_POINTS, dtype=float)
     parabola = (1e-3 - 8e-5 * t + 2e-6 * t**2)[None, :, None]
     assert smooth(parabola) == pytest.approx(parabola, abs=1e-15)
-    noise = np.random.default_rng(0).normal(size=(200, POINTS, 1))
+    noise = np.random.default_rng(0).normal(size=(200, ARRIVAL_POINTS, 1))
     assert np.std(smooth(noise)[:, 5:-5]) < 0.65
 
 
@@ -141,9 +141,9 @@ def test_corrections_see_the_own_path_and_the_loads_of_all() -> None:
     features = correction_features(arms)
     columns = [features[:, :, k] for k in range(features.shape[2])]
     assert len(features) == 6
-    for k in (0, 10, POINTS - 1):
-        assert columns[k] == pytest.approx(arms.paths[:, k, Q].T)
-        assert columns[POINTS + k] == pytest.approx(arms.paths[:, k, QD].T)
+    for k in (0, 10, ARRIVAL_POINTS - 1):
+        assert columns[k] == pytest.approx(arms.paths[:, k, ARRIVAL_Q].T)
+        assert columns[ARRIVAL_POINTS + k] == pytest.approx(arms.paths[:, k, ARRIVAL_QD].T)
     for j in range(6):
         own = np.delete(np.arange(6), j)
         assert not any(np.array_equal(features[j], features[other]) for other in own)

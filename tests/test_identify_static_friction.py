@@ -17,7 +17,7 @@ from synthetic_motion import (
 
 from hil.core.errors import DataError, FitError, SpecError
 from hil.data import Dataset
-from hil.data.approach_path import Q
+from hil.data.arrivals import ARRIVAL_Q
 from hil.data.dwells import series_means
 from hil.data.splits import split
 from hil.estimators import estimator, load_model_file, save_model
@@ -260,7 +260,7 @@ def test_a_stored_model_predicts_bit_for_bit_the_same(name, dwells, tmp_path) ->
 def motion_into(data, number):
     """A motion of 0.4 s at 125 Hz that ends in a dwell, with its arrival."""
     where = data["q"][data.offsets[number]]
-    path = data.arrivals[number, :, Q]
+    path = data.arrivals[number, :, ARRIVAL_Q]
     far = path[:1] + (path[1] - path[0]) * np.arange(-26, 0)[:, None]
     return where + np.concatenate([far, path, np.zeros((20, 6))])
 

@@ -12,7 +12,7 @@ from synthetic_motion import LOAD, moving, nominal
 from hil.arms.payload import Payload
 from hil.core import json_document
 from hil.core.errors import DataError, PluginError, SpecError
-from hil.data.parts import JUDGE, LEARN, VALIDATE, with_part
+from hil.data.splits import TEST, TRAINING, VALIDATION, with_part
 from hil.estimators import estimator, load_model_file, save_model
 from hil.estimators.base import HONEST, prepared
 from hil.estimators.model_file import model_files
@@ -44,11 +44,11 @@ def test_components_add_up_to_the_effort(fitted) -> None:
 
 
 def test_it_learns_what_an_arm_with_friction_does() -> None:
-    part = np.tile([LEARN, LEARN, VALIDATE, JUDGE], 150)
+    part = np.tile([TRAINING, TRAINING, VALIDATION, TEST], 150)
     data = with_part(moving(1), part)
     steps = {"epochs": 50, "batch_size": 16, "learning_rate": 1e-2, "loss": "huber"}
     model = made(network={"hidden": [32, 32]}, training={**QUICK, **steps}).fit(data, nominal())
-    left = (data["effort"] - model.predict(data).effort)[part == JUDGE]
+    left = (data["effort"] - model.predict(data).effort)[part == TEST]
     assert np.all(np.std(left, axis=0) < 0.2 * np.std(data["effort"], axis=0))
 
 
@@ -76,8 +76,8 @@ def test_equal_seeds_give_equal_models_and_others_give_others(fitted) -> None:
 
 def test_scales_are_those_of_the_rows_that_are_learned_from() -> None:
     data = moving(1, 2, 3)
-    part = np.repeat([LEARN, LEARN, VALIDATE], 600)
-    spoilt = data["effort_f"] * np.where(part == LEARN, 1.0, 50.0)[:, None]
+    part = np.repeat([TRAINING, TRAINING, VALIDATION], 600)
+    spoilt = data["effort_f"] * np.where(part == TRAINING, 1.0, 50.0)[:, None]
     told = with_part(data, part)
     expected = np.std(data["effort_f"][:1200] * data.drive_gains, axis=0)
     for one in (told, told.with_columns(effort_f=spoilt)):
@@ -85,9 +85,9 @@ def test_scales_are_those_of_the_rows_that_are_learned_from() -> None:
 
 
 def test_judged_rows_change_nothing() -> None:
-    part = np.random.default_rng(0).choice([LEARN, VALIDATE, JUDGE], 1800, p=(0.6, 0.2, 0.2))
+    part = np.random.default_rng(0).choice([TRAINING, VALIDATION, TEST], 1800, p=(0.6, 0.2, 0.2))
     data = with_part(moving(1, 2, 3), part)
-    spoilt = data["effort_f"] + np.where(part == JUDGE, 1e3, 0.0)[:, None]
+    spoilt = data["effort_f"] + np.where(part == TEST, 1e3, 0.0)[:, None]
     ours, theirs = (
         made(direction="dahl").fit(one, nominal())
         for one in (data, data.with_columns(effort_f=spoilt))
@@ -100,8 +100,8 @@ def test_judged_rows_change_nothing() -> None:
 @pytest.mark.parametrize(
     ("part", "protocol"),
     [
-        (np.repeat([LEARN, VALIDATE, JUDGE], 600), HONEST),
-        (np.tile([LEARN, VALIDATE, JUDGE], 600), "paper: rows of the same motions"),
+        (np.repeat([TRAINING, VALIDATION, TEST], 600), HONEST),
+        (np.tile([TRAINING, VALIDATION, TEST], 600), "paper: rows of the same motions"),
     ],
     ids=["whole motions", "by sample"],
 )

@@ -14,7 +14,7 @@ pytest.importorskip("torch", reason="torch is not installed")
 
 from hil.core.errors import DataError, FitError
 from hil.data import Dataset
-from hil.data.parts import BY_SAMPLE, JUDGE, LEARN, VALIDATE, with_part
+from hil.data.splits import SAMPLE_SPLIT_PROTOCOL, TEST, TRAINING, VALIDATION, with_part
 from hil.estimators import estimator
 from hil.estimators.base import HONEST
 from hil.evaluation import evaluate
@@ -75,9 +75,9 @@ def test_equal_seeds_give_equal_models() -> None:
 
 
 def test_rows_that_are_judged_are_not_learned_from() -> None:
-    part = np.full(len(known()), LEARN)
-    part[known().offsets[2] : known().offsets[3]] = VALIDATE
-    part[known().offsets[3] :] = JUDGE
+    part = np.full(len(known()), TRAINING)
+    part[known().offsets[2] : known().offsets[3]] = VALIDATION
+    part[known().offsets[3] :] = TEST
     fitted, spoilt = (
         unfitted().fit(with_part(data, part), nominal()).fitted_arrays()
         for data in (known(), _spoilt(known(), 3))
@@ -86,9 +86,9 @@ def test_rows_that_are_judged_are_not_learned_from() -> None:
 
 
 def test_rows_drawn_one_by_one_are_labelled_as_the_papers_protocol() -> None:
-    part = np.random.default_rng(0).choice([LEARN, VALIDATE, JUDGE], len(known()))
+    part = np.random.default_rng(0).choice([TRAINING, VALIDATION, TEST], len(known()))
     torn = unfitted().fit(with_part(known(), part), nominal())
-    assert torn.protocol == BY_SAMPLE
+    assert torn.protocol == SAMPLE_SPLIT_PROTOCOL
     assert "brought their torque into these" in " ".join(torn.notes_)
     assert len(torn.correction_.networks) == 1
     assert model().protocol == HONEST

@@ -8,7 +8,7 @@ from synthetic_motion import moving, nominal
 
 from hil.core.errors import SpecError
 from hil.data import Dataset
-from hil.data.persistence_error import persistence, persistence_rmse
+from hil.data.metrics import persistence, persistence_rmse
 from hil.estimators import estimator
 from hil.networks.residual_selection import fold_of_rows, physics_of, select
 

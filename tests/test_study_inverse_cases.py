@@ -12,9 +12,8 @@ from synthetic_motion import nominal
 
 from hil.core.errors import DataError
 from hil.data.dataset import Dataset
-from hil.data.parts import JUDGE, PART
 from hil.data.prediction import Prediction
-from hil.data.splits import groups
+from hil.data.splits import PART, TEST, groups
 from hil.estimators.rigid_linear import RigidWls
 from hil.studies import inverse_fits
 from hil.studies.inverse_cases import (
@@ -67,7 +66,7 @@ def test_everything_that_is_not_judged_is_handed_to_a_fit_and_nothing_else() -> 
 def test_the_papers_draw_keeps_motions_whole_and_judges_a_fifth_of_the_samples() -> None:
     case = case_of(paper_case)
     assert np.array_equal(np.diff(case.learn.offsets), np.full(4, 300))
-    assert np.array_equal(case.rows, case.learn[PART] == JUDGE)
+    assert np.array_equal(case.rows, case.learn[PART] == TEST)
     assert np.mean(case.rows) == pytest.approx(0.2, abs=0.03)
 
 

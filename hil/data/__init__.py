@@ -1,7 +1,7 @@
-"""Aligned arrays with units and conditions.
+"""Datasets of aligned samples, and pure functions of them: no file is read here.
 
-Importing `hil.data` pulls in no recorder: reading run directories lives in `hil.importers.load`,
-which only the callers above the identification import (docs/explanation/architecture.md).
+Run directories and files of other tools become datasets in `hil.importers`, which estimators never
+import (docs/explanation/architecture.md).
 """
 
 import lazy_loader

@@ -23,12 +23,15 @@ MOTION = ("q_f", "qd_f", "qdd_f")
 """Columns of the smoothed motion, in the order in which a regressor takes them."""
 
 PREPARED = (*MOTION, "effort_f")
-"""Columns that preprocessing adds (`hil.data.filters.prepare`)."""
+"""Columns that preprocessing adds (`hil.data.prepare`)."""
 
 OF_JOINTS = frozenset({"q", "qd", "qdd", "effort", *PREPARED})
 """Columns that a model reads: (N, n) wherever they are."""
 
 SeriesKind = Literal["trajectory", "dwell", "move", "warmup", "reference"]
+
+AT_REST: tuple[SeriesKind, ...] = ("dwell", "reference")
+"""Series during which the arm rests: too short to filter, and with nothing to differentiate."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +82,7 @@ class Dataset:
         drive_gains_source: Where the gains come from.
         gravity: In the robot's base frame [m/s²]; says how the arm was mounted.
         arrivals: (S, K, 2, n) how each joint came to rest before each series, see
-            `hil.data.approach_path`; NaN for series that are no dwells, None when nobody knows.
+            `hil.data.arrival`; NaN for series that are no dwells, None if unknown.
     """
 
     robot: str
@@ -130,7 +133,7 @@ class Dataset:
         return f"<Dataset of {self.robot}: {rows} [{self.effort_unit}]>"
 
     def _repr_html_(self) -> str:
-        """Itself in a notebook."""
+        """Return the dataset's card in a notebook."""
         facts = {
             "samples": f"{len(self):,}",
             "joints": self.n_joints,
@@ -155,29 +158,29 @@ class Dataset:
         return "A" if self.effort_kind == "current" else "N·m"
 
     def slices(self) -> Iterator[tuple[Conditions, slice]]:
-        """Each series' conditions and its rows."""
+        """Yield the conditions and the rows of each series."""
         for i, condition in enumerate(self.conditions):
             yield condition, slice(int(self.offsets[i]), int(self.offsets[i + 1]))
 
     def series_index(self) -> IntArray:
-        """(N,) number of the series each row belongs to."""
+        """Return (N,) the number of the series each row belongs to."""
         return np.repeat(np.arange(len(self.conditions)), np.diff(self.offsets))
 
     def select(self, keep: Callable[[Conditions], bool]) -> Dataset:
-        """The whole series whose conditions satisfy `keep`, in order."""
+        """Return the whole series whose conditions satisfy `keep`, in order."""
         chosen = [i for i, condition in enumerate(self.conditions) if keep(condition)]
         return self.take(chosen)
 
     def of_kind(self, *kinds: SeriesKind) -> Dataset:
-        """The series of the given kinds."""
+        """Return the series of these kinds."""
         return self.select(lambda condition: condition.kind in kinds)
 
     def with_columns(self, **columns: FloatArray) -> Dataset:
-        """A copy with columns added or replaced."""
+        """Return a copy with columns added or replaced."""
         return replace(self, columns={**self.columns, **columns})
 
     def take(self, chosen: Sequence[int] | IntArray) -> Dataset:
-        """The series of the given numbers, in that order."""
+        """Return the series of these numbers, in that order."""
         spans = [np.arange(self.offsets[i], self.offsets[i + 1]) for i in chosen]
         rows = np.concatenate(spans) if spans else np.empty(0, dtype=np.int64)
         lengths = [len(span) for span in spans]
@@ -191,7 +194,7 @@ class Dataset:
 
     @staticmethod
     def concatenate(parts: Sequence[Dataset]) -> Dataset:
-        """Join datasets of the same robot; columns that not all of them have are dropped.
+        """Return the joined datasets of one robot, without the columns that only some have.
 
         Raises:
             DataError: Joints, effort kind or drive gains differ, or nothing was given.
@@ -208,30 +211,19 @@ class Dataset:
             columns={n: np.concatenate([part.columns[n] for part in parts]) for n in shared},
             offsets=np.concatenate(([0], np.cumsum(lengths))).astype(np.int64),
             conditions=tuple(c for part in parts for c in part.conditions),
-            arrivals=_joined(parts),
+            arrivals=_joined_arrivals(parts),
         )
 
 
-def rows_of(dataset: Dataset, keep: BoolArray) -> Dataset:
-    """The dataset with only the rows where `keep` (N,) is true; series may become shorter."""
-    counts = np.add.reduceat(np.append(keep, False).astype(np.int64), dataset.offsets[:-1])
-    counts[np.diff(dataset.offsets) == 0] = 0
-    return replace(
-        dataset,
-        columns={name: values[keep] for name, values in dataset.columns.items()},
-        offsets=np.concatenate(([0], np.cumsum(counts))).astype(np.int64),
-    )
-
-
-def _joined(parts: Sequence[Dataset]) -> FloatArray | None:
-    """All arrivals, NaN for the series of parts without any; None when no part has any."""
+def _joined_arrivals(parts: Sequence[Dataset]) -> FloatArray | None:
+    """Return all arrivals, NaN for the series of parts without any; None if no part has any."""
     known = [part.arrivals for part in parts if part.arrivals is not None]
     if not known:
         return None
-    nobody = np.full(known[0].shape[1:], np.nan)
+    unknown = np.full(known[0].shape[1:], np.nan)
     return np.concatenate(
         [
-            np.broadcast_to(nobody, (len(part.conditions), *nobody.shape))
+            np.broadcast_to(unknown, (len(part.conditions), *unknown.shape))
             if part.arrivals is None
             else part.arrivals
             for part in parts
@@ -256,3 +248,14 @@ def _require_compatible(a: Dataset, b: Dataset) -> None:
             "cannot pool data: the sources declare different drive gains",
             hint="fit them separately, or give the same gains to all: --gains FILE",
         )
+
+
+def rows_of(dataset: Dataset, keep: BoolArray) -> Dataset:
+    """Return the rows of a dataset where `keep` (N,) is true; series may become shorter."""
+    counts = np.add.reduceat(np.append(keep, False).astype(np.int64), dataset.offsets[:-1])
+    counts[np.diff(dataset.offsets) == 0] = 0
+    return replace(
+        dataset,
+        columns={name: values[keep] for name, values in dataset.columns.items()},
+        offsets=np.concatenate(([0], np.cumsum(counts))).astype(np.int64),
+    )

@@ -1,7 +1,8 @@
-"""Finding the samples at which an arm stood still.
+"""Dwells of a recording: the samples during which the arm rested.
 
 A dwell's useful samples are the last ones before the arm leaves: the friction state has settled
-and the controller has stopped hunting (static paper, section IV.A: ten samples of ≥ 95 ms).
+and the controller has stopped hunting (static paper, section IV.A: ten samples of ≥ 95 ms). A run
+with a plan says which series are dwells; in any other, `find_dwells` detects them by speed.
 """
 
 from __future__ import annotations
@@ -18,14 +19,14 @@ SAMPLES_PER_DWELL = 10
 
 
 @dataclass(frozen=True, slots=True)
-class DwellRule:
-    """When an arm counts as standing still.
+class RestRule:
+    """When an arm counts as being at rest.
 
     Attributes:
-        min_s: Shortest stay [s].
-        samples: How many samples are kept, the last ones of the stay.
+        min_s: Shortest dwell [s].
+        samples: How many samples are kept, the last ones of the dwell.
         speed: Every joint is slower than this [rad/s].
-        drift: No joint strays further than this from where it stands at the end [rad].
+        drift: No joint is further than this from where it is at the end [rad].
     """
 
     min_s: float = 0.095
@@ -40,58 +41,72 @@ def find_dwells(
     t: FloatArray,
     min_s: float = 0.095,
     samples: int = SAMPLES_PER_DWELL,
-    rule: DwellRule | None = None,
+    rule: RestRule | None = None,
 ) -> list[slice]:
-    """The last `samples` rows of every stay in a recording that has no plan.
+    """Return the last `samples` rows of every dwell in a recording that has no plan.
 
     Args:
         q: (N, n) positions [rad].
         qd: (N, n) velocities [rad/s]; differentiated from `q` when None.
         t: (N,) time [s].
-        min_s: Shortest stay [s].
-        samples: Rows kept of each stay.
-        rule: Thresholds; `min_s` and `samples` win over its own.
+        min_s: Shortest dwell [s].
+        samples: Rows kept of each dwell.
+        rule: Thresholds; `min_s` and `samples` replace its own.
 
     Returns:
-        Row ranges in order; a stay shorter than `min_s` or `samples` is not among them.
+        Row ranges in order; a dwell shorter than `min_s` or `samples` is not among them.
     """
-    chosen = replace(rule or DwellRule(), min_s=min_s, samples=samples)
+    chosen = replace(rule or RestRule(), min_s=min_s, samples=samples)
     speed = derivative(q, t) if qd is None else qd
     resting = np.max(np.abs(speed), axis=1) < chosen.speed
-    found = []
+    dwells = []
     for start, stop in _runs(resting):
         first = start + _settled_from(q[start:stop], chosen.drift)
         # The sample before the first one at rest is half a step away: count whole steps only.
         long_enough = stop - first >= samples and t[stop - 1] - t[first] >= min_s - 1e-9
         if long_enough:
-            found.append(slice(stop - samples, stop))
-    return found
+            dwells.append(slice(stop - samples, stop))
+    return dwells
 
 
-def dwells_of(dataset: Dataset, rule: DwellRule | None = None) -> Dataset:
-    """The dwells of a dataset: its dwell series, or what `find_dwells` sees in its motions.
+def _runs(mask: BoolArray) -> list[tuple[int, int]]:
+    """Return begin and end of every run of true values."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
-    Found dwells are numbered as poses in order of appearance.
+
+def _settled_from(q: FloatArray, drift: float) -> int:
+    """Return the first row of a dwell from which on every joint stays near its final position."""
+    away = np.flatnonzero(np.max(np.abs(q - q[-1]), axis=1) > drift)
+    return int(away[-1]) + 1 if len(away) else 0
+
+
+def dwells_of(dataset: Dataset, rule: RestRule | None = None) -> Dataset:
+    """Return the dwells of a dataset: its dwell series, or those that `find_dwells` detects.
+
+    Detected dwells are numbered as poses in order of appearance. Planned dwells that ran into
+    their time-out are left out.
     """
     planned = dataset.of_kind("dwell")
     if len(planned.conditions):
         filled = {condition.id for condition, rows in planned.slices() if rows.stop > rows.start}
         return planned.select(lambda condition: condition.settled and condition.id in filled)
     spans: list[tuple[Conditions, slice]] = []
-    chosen = rule or DwellRule()
+    chosen = rule or RestRule()
     qd = dataset.columns.get("qd")
     for condition, rows in dataset.slices():
         if rows.stop - rows.start < chosen.samples:
             continue
         speed = None if qd is None else qd[rows]
-        found = find_dwells(
+        dwells = find_dwells(
             dataset["q"][rows], speed, dataset["t"][rows], chosen.min_s, chosen.samples, chosen
         )
-        spans += [(condition, slice(rows.start + s.start, rows.start + s.stop)) for s in found]
+        spans += [(condition, slice(rows.start + s.start, rows.start + s.stop)) for s in dwells]
     return _as_series(dataset, spans)
 
 
 def _as_series(dataset: Dataset, spans: list[tuple[Conditions, slice]]) -> Dataset:
+    """Return a dataset in which every span is a dwell series."""
     rows = [np.arange(span.start, span.stop) for _, span in spans]
     picked = np.concatenate(rows) if rows else np.empty(0, dtype=np.int64)
     conditions = tuple(
@@ -108,7 +123,7 @@ def _as_series(dataset: Dataset, spans: list[tuple[Conditions, slice]]) -> Datas
 
 
 def series_means(dataset: Dataset, values: FloatArray) -> FloatArray:
-    """(S, n) mean of `values` (N, n) over each series; NaN for a series without rows."""
+    """Return (S, n) the mean of `values` (N, n) over each series; NaN for a series without rows."""
     counts: IntArray = np.diff(dataset.offsets)
     means = np.full((len(counts), values.shape[1]), np.nan)
     filled = counts > 0
@@ -116,14 +131,3 @@ def series_means(dataset: Dataset, values: FloatArray) -> FloatArray:
         sums = np.add.reduceat(values, dataset.offsets[:-1][filled], axis=0)
         means[filled] = sums / counts[filled, None]
     return means
-
-
-def _settled_from(q: FloatArray, drift: float) -> int:
-    """First row of the stay from which on no joint strays from its final position."""
-    astray = np.flatnonzero(np.max(np.abs(q - q[-1]), axis=1) > drift)
-    return int(astray[-1]) + 1 if len(astray) else 0
-
-
-def _runs(mask: BoolArray) -> list[tuple[int, int]]:
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
-    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]

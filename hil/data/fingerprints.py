@@ -1,6 +1,6 @@
-"""Telling recordings apart by what they hold: the same samples, or the same motion again.
+"""Fingerprints of samples and poses: do two recordings hold the same samples, or the same motion?
 
-Names do not help: the same recording may be copied, cut or imported twice, and its clock shifted.
+Names do not say it: the same recording may be copied, cut or imported twice, and its clock shifted.
 """
 
 from __future__ import annotations
@@ -17,25 +17,13 @@ if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
 DECIMALS = 6
-"""Positions [rad] and efforts are compared to so many: units converted twice still agree."""
-
-SKETCH_ROWS = 4096
-"""Fingerprints that are kept of a training set: all of a small one, a fair draw of a large one."""
-
-SAME_PLACE_RAD = 0.02
-"""Two poses that differ by less in every joint are the same for a model."""
-
-PLACES = 200
-"""Poses per series that are looked up, evenly spread over its path."""
-
-KNOWN_ROWS = 100_000
-"""Training rows that are searched."""
+"""Decimals to which positions [rad] and efforts are compared: units converted twice still agree."""
 
 
 def fingerprints(dataset: Dataset) -> IntArray:
-    """The distinct rows of a dataset, one number each, sorted.
+    """Return the distinct rows of a dataset as sorted numbers, one each.
 
-    Made of position and effort. Time is left out, since a copy may begin at another; rows that an
+    Position and effort count. Time does not, since a copy may begin at another time; rows that an
     arm at rest repeats count once.
     """
     values = np.round(np.hstack([dataset["q"], dataset["effort"]]), DECIMALS) + 0.0
@@ -47,6 +35,10 @@ def fingerprints(dataset: Dataset) -> IntArray:
         mixed = (mixed ^ (mixed >> 31)) * factors[0]
     distinct: IntArray = np.unique(mixed)
     return distinct
+
+
+SKETCH_ROWS = 4096
+"""Fingerprints stored of a training set: all of a small one, a fair draw of a large one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,20 +55,30 @@ class Sketch:
 
     @staticmethod
     def of(dataset: Dataset) -> Sketch:
-        """The sketch of a dataset."""
-        found = fingerprints(dataset)
-        return Sketch(found[:SKETCH_ROWS], len(found) <= SKETCH_ROWS)
+        """Return the sketch of a dataset."""
+        rows = fingerprints(dataset)
+        return Sketch(rows[:SKETCH_ROWS], len(rows) <= SKETCH_ROWS)
 
     def share_known(self, dataset: Dataset) -> float:
-        """Estimated share of a dataset's distinct rows that the sketched one holds too."""
-        found = fingerprints(dataset)
+        """Return the estimated share of a dataset's distinct rows that the sketched one holds."""
+        rows = fingerprints(dataset)
         if not self.complete:
-            found = found[found <= self.smallest.max()]
-        return float(np.mean(np.isin(found, self.smallest))) if len(found) else 0.0
+            rows = rows[rows <= self.smallest.max()]
+        return float(np.mean(np.isin(rows, self.smallest))) if len(rows) else 0.0
+
+
+SAME_PLACE_RAD = 0.02
+"""Two poses that differ by less in every joint are the same for a model."""
+
+PLACES = 200
+"""Poses per series that are looked up, evenly spread over its path."""
+
+KNOWN_ROWS = 100_000
+"""Training rows that are searched."""
 
 
 def revisited(train: Dataset, test: Dataset) -> dict[str, float]:
-    """How much of each test series leads through places the training data have been to.
+    """Return how much of each test series leads through poses of the training data.
 
     Equal programs on two arms, or repeated under two loads, share no sample and yet every pose.
 
@@ -103,11 +105,11 @@ def _share_near(tree: cKDTree, places: FloatArray) -> float:
 
 
 def _places(q: FloatArray) -> FloatArray:
-    """Rows of one series at equal distances along its path, so that standing still counts once."""
+    """Return rows of one series at equal distances along its path, so that rest counts once."""
     q = q[np.all(np.isfinite(q), axis=1)]
     if not len(q):
         return q
-    # Steps below a tenth of a milliradian are an encoder's noise, not a way gone.
+    # Steps below a tenth of a milliradian are noise of the encoder, not motion.
     steps = np.max(np.abs(np.diff(q, axis=0)), axis=1)
     way = np.concatenate(([0.0], np.cumsum(np.where(steps > 1e-4, steps, 0.0))))
     rows = np.searchsorted(way, np.linspace(0.0, way[-1], PLACES))

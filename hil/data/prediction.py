@@ -1,4 +1,4 @@
-"""What every model returns, for a whole dataset or one sample at a time."""
+"""Predictions: what every model returns, for a whole dataset or one sample at a time."""
 
 from __future__ import annotations
 
@@ -32,18 +32,18 @@ class Stream(Protocol):
     """A model fed one sample at a time; friction memory starts afresh with every stream."""
 
     def step(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
-        """Predicted effort (n,) for one sample, each input (n,)."""
+        """Return the predicted effort (n,) for one sample, each input (n,)."""
 
 
 class Model(Protocol):
-    """A fitted model: what `Estimator.fit` leaves behind and the registry keeps."""
+    """A fitted model: what `Estimator.fit` returns and the registry stores."""
 
     @property
     def estimator(self) -> str:
         """Name under which the estimator is registered (`hil.estimators`)."""
 
     def predict(self, dataset: Dataset) -> Prediction:
-        """Predict all rows; friction memory is reset at the start of every series."""
+        """Return predictions of all rows; friction memory is reset at the start of every series."""
 
     def stream(self) -> Stream:
-        """A predictor for one sample at a time."""
+        """Return a predictor for one sample at a time."""

@@ -1,7 +1,14 @@
-"""Splits that keep whole trajectories, poses or loads together, and a guard against leaks.
+"""Splits of a dataset into what is fitted on and what is judged, and a guard against leaks.
 
 Neighbouring samples of one motion are nearly the same sample. A model is therefore judged on
-groups it has seen nothing of; the by-sample split of the papers exists only under its own name.
+groups it has seen nothing of: `split` and `kfold` keep whole trajectories, poses or loads together,
+and `assert_disjoint` refuses data that share anything. The by-sample split of the papers exists
+only under its own name.
+
+A fit that stops early also needs rows to stop by: `training_and_validation` holds out whole
+trajectories of the training data. A study that reproduces a publication marks its rows one by one
+in the column `PART` instead, so that windows and friction states are still computed along whole
+motions; estimators then leave the rows marked `TEST` out.
 """
 
 from __future__ import annotations
@@ -12,15 +19,13 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from hil.core import DataError
-from hil.data.dataset import Conditions, Dataset, rows_of
+from hil.core import BoolArray, DataError, FloatArray
+from hil.data.dataset import AT_REST, Conditions, Dataset, rows_of
 from hil.data.fingerprints import fingerprints
 
 SplitBy = Literal["trajectory", "pose", "load"]
 Group: TypeAlias = tuple[str, int]
-
-SAME_SHARE = 0.01
-"""Share of distinct samples that two independent recordings may have in common by chance."""
+"""Source and number of a trajectory or pose; a load has no source."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,7 +46,7 @@ class Split:
 
 
 def group_of(condition: Conditions, by: SplitBy) -> Group | None:
-    """Which group a series belongs to; None when it belongs to none (a warm-up, say).
+    """Return the group of a series; None when it belongs to none (a warm-up, say).
 
     Poses and trajectories are numbered within their source; a load is the same load everywhere.
     """
@@ -52,9 +57,9 @@ def group_of(condition: Conditions, by: SplitBy) -> Group | None:
 
 
 def groups(dataset: Dataset, by: SplitBy) -> tuple[Group, ...]:
-    """The distinct groups, in order of appearance."""
-    found = (group_of(condition, by) for condition in dataset.conditions)
-    return tuple(dict.fromkeys(group for group in found if group is not None))
+    """Return the distinct groups, in order of appearance."""
+    every = (group_of(condition, by) for condition in dataset.conditions)
+    return tuple(dict.fromkeys(group for group in every if group is not None))
 
 
 def split(
@@ -63,24 +68,24 @@ def split(
     test: int | float | Sequence[int] = 0.2,
     seed: int = 0,
 ) -> Split:
-    """Hold out whole groups.
+    """Return the dataset in two, with whole groups held out.
 
     Args:
         dataset: What to split; series outside every group are left out of both parts.
         by: What must stay together. A pose keeps both its approaches and all its loads together.
         test: How many groups (int), which share of them (float below 1), or which numbers. With 0
             nothing is held out; any other share holds out at least one group.
-        seed: For the draw; not used when numbers are given.
+        seed: For the draw; not used with numbers.
 
     Raises:
         DataError: There are not enough groups, or a number does not occur.
     """
-    everything = groups(dataset, by)
+    every = groups(dataset, by)
     if isinstance(test, int | float):
-        held_out = _draw(everything, by, test, seed)
+        held_out = _draw(every, by, test, seed)
     else:
-        held_out = _named(everything, by, test)
-    if held_out and len(held_out) == len(everything):
+        held_out = _numbered(every, by, test)
+    if held_out and len(held_out) == len(every):
         raise DataError(
             f"nothing would be left to fit on: all {by} groups are held out",
             hint="hold out fewer, or record more",
@@ -88,32 +93,64 @@ def split(
     return _split_at(dataset, by, held_out)
 
 
+def _draw(every: Sequence[Group], by: SplitBy, test: float, seed: int) -> tuple[Group, ...]:
+    if test == 0:
+        return ()
+    count = int(test) if test >= 1 else max(1, round(test * len(every)))
+    if test < 0 or count >= len(every):
+        raise DataError(
+            f"cannot hold out {test if test < 0 else count} of {len(every)} {by} group(s)",
+            hint=f"the data needs at least {max(1, count) + 1} different {by} groups",
+        )
+    chosen = np.random.default_rng(seed).choice(len(every), count, replace=False)
+    return tuple(every[i] for i in np.sort(chosen))
+
+
+def _numbered(every: Sequence[Group], by: SplitBy, numbers: Sequence[int]) -> tuple[Group, ...]:
+    held_out = tuple(group for group in every if group[1] in set(numbers))
+    unknown = sorted(set(numbers) - {number for _, number in held_out})
+    if unknown:
+        known = sorted({number for _, number in every})
+        raise DataError(f"no {by} {unknown[0]} in the data", hint=f"there are {known}")
+    return held_out
+
+
+def _split_at(dataset: Dataset, by: SplitBy, held_out: tuple[Group, ...]) -> Split:
+    chosen = set(held_out)
+    test = dataset.select(lambda condition: group_of(condition, by) in chosen)
+    train = dataset.select(lambda condition: group_of(condition, by) not in chosen | {None})
+    return Split(train, test, by, held_out)
+
+
 def kfold(dataset: Dataset, by: SplitBy, folds: int, seed: int = 0) -> Iterator[Split]:
-    """`folds` splits whose test parts are disjoint and together hold every group once.
+    """Yield `folds` splits whose test parts are disjoint and together hold every group once.
 
     Raises:
         DataError: There are fewer groups than folds.
     """
-    everything = groups(dataset, by)
-    if not 2 <= folds <= len(everything):
+    every = groups(dataset, by)
+    if not 2 <= folds <= len(every):
         raise DataError(
-            f"{folds} folds are not possible with {len(everything)} {by} group(s)",
+            f"{folds} folds are not possible with {len(every)} {by} group(s)",
             hint="choose at least 2 folds and at most one per group",
         )
-    order = np.random.default_rng(seed).permutation(len(everything))
+    order = np.random.default_rng(seed).permutation(len(every))
     for part in np.array_split(order, folds):
-        yield _split_at(dataset, by, tuple(everything[i] for i in np.sort(part)))
+        yield _split_at(dataset, by, tuple(every[i] for i in np.sort(part)))
+
+
+SAME_SHARE = 0.01
+"""Share of distinct samples that two independent recordings may have in common by chance."""
 
 
 def assert_disjoint(train: Dataset, test: Dataset) -> None:
-    """Refuse a test set that shares a series, a pose, a trajectory or a sample with the training.
+    """Raise if a test set shares a pose, a trajectory or samples with the training set.
 
     Loads may be shared. Samples are compared by value (position and effort, not time), so the same
-    recording imported twice under different names, or with its clock shifted, is found too; up to
+    recording imported twice under different names, or with its clock shifted, is noticed too; up to
     1 % of the distinct samples may coincide, as noise-free simulations do where they start.
 
-    The same *program* recorded twice passes, since the samples differ: see
-    `hil.data.fingerprints.revisited`.
+    The same *program* recorded twice passes, since the samples differ: see `hil.data.revisited`.
 
     Raises:
         DataError: Something is shared; the message names it.
@@ -126,7 +163,7 @@ def assert_disjoint(train: Dataset, test: Dataset) -> None:
             raise DataError(
                 f"{len(shared)} {by} group(s) are in both training and test data, "
                 f"the first is {by} {number} of {source or 'the data'}",
-                hint="split by whole groups: hil.data.splits.split(dataset, by=…)",
+                hint="split by whole groups: hil.data.split(dataset, by=…)",
             )
     rows = fingerprints(test)
     same = int(np.isin(rows, fingerprints(train)).sum())
@@ -140,7 +177,7 @@ def assert_disjoint(train: Dataset, test: Dataset) -> None:
 def paper_sample_split(
     dataset: Dataset, shares: tuple[float, float, float] = (0.75, 0.20, 0.05), seed: int = 0
 ) -> tuple[Dataset, Dataset, Dataset]:
-    """Random split by *sample*, as in both papers: for reproducing their numbers only.
+    """Return a random split by *sample*, as in both papers: for reproducing their numbers only.
 
     Samples of the same pose or instant land on both sides, so errors measured this way say
     nothing about new poses or motions (docs/explanation/honest-protocols.md). Series end up with
@@ -151,30 +188,86 @@ def paper_sample_split(
     return first, second, third
 
 
-def _draw(everything: Sequence[Group], by: SplitBy, test: float, seed: int) -> tuple[Group, ...]:
-    if test == 0:
-        return ()
-    count = int(test) if test >= 1 else max(1, round(test * len(everything)))
-    if test < 0 or count >= len(everything):
+# Rows to train on, to stop by and to judge
+
+
+PART = "part"
+"""Column (N,) with one of the three numbers below."""
+
+TRAINING, VALIDATION, TEST = 0.0, 1.0, 2.0
+
+SAMPLE_SPLIT_PROTOCOL = "paper: rows of the same motions to learn from and to judge"
+"""Protocol of a model whose data have a by-sample split (`has_sample_split`)."""
+
+
+def with_part(dataset: Dataset, part: FloatArray) -> Dataset:
+    """Return the dataset with the column `PART` (N,)."""
+    return dataset.with_columns(**{PART: np.asarray(part, dtype=np.float64)})
+
+
+def has_sample_split(dataset: Dataset) -> bool:
+    """Return whether the column `PART` puts rows of one motion on more than one side."""
+    if PART not in dataset.columns:
+        return False
+    motions = (rows for condition, rows in dataset.slices() if condition.kind not in AT_REST)
+    return any(len(np.unique(dataset[PART][rows])) > 1 for rows in motions)
+
+
+def rows_to_fit(dataset: Dataset) -> BoolArray:
+    """Return (N,) rows to fit on for estimators that do not stop early: all but those to judge."""
+    if PART in dataset.columns:
+        return np.asarray(dataset[PART] != TEST)
+    return np.ones(len(dataset), dtype=bool)
+
+
+def training_and_validation(
+    dataset: Dataset, share: float = 2 / 9, seed: int = 0
+) -> tuple[BoolArray, BoolArray]:
+    """Return (N,) rows to train on and (N,) rows to stop by; a row may belong to neither.
+
+    Args:
+        dataset: With the column `PART`, which then decides alone, or without.
+        share: Of the trajectories that is held out, at least one. Of a single trajectory it is
+            the end.
+        seed: Of the draw of trajectories.
+
+    Raises:
+        DataError: One of the two would be empty.
+    """
+    if PART in dataset.columns:
+        train, validate = dataset[PART] == TRAINING, dataset[PART] == VALIDATION
+    elif len(groups(dataset, "trajectory")) > 1:
+        held_out = set(split(dataset, "trajectory", share, seed).held_out)
+        validate = np.zeros(len(dataset), dtype=bool)
+        for condition, rows in dataset.slices():
+            validate[rows] = group_of(condition, "trajectory") in held_out
+        train = ~validate
+    else:
+        train, validate = _beginning_and_end(dataset)
+    if not (np.any(train) and np.any(validate)):
         raise DataError(
-            f"cannot hold out {test if test < 0 else count} of {len(everything)} {by} group(s)",
-            hint=f"the data needs at least {max(1, count) + 1} different {by} groups",
+            "no rows are left to learn from"
+            if not np.any(train)
+            else "no rows are left to stop by",
+            hint="give at least two trajectories, or one that is longer",
         )
-    chosen = np.random.default_rng(seed).choice(len(everything), count, replace=False)
-    return tuple(everything[i] for i in np.sort(chosen))
+    return train, validate
 
 
-def _named(everything: Sequence[Group], by: SplitBy, numbers: Sequence[int]) -> tuple[Group, ...]:
-    held_out = tuple(group for group in everything if group[1] in set(numbers))
-    unknown = sorted(set(numbers) - {number for _, number in held_out})
-    if unknown:
-        known = sorted({number for _, number in everything})
-        raise DataError(f"no {by} {unknown[0]} in the data", hint=f"there are {known}")
-    return held_out
+_END_SHARE = 0.2
+"""Share of a single trajectory, at its end, that takes the place of held-out trajectories."""
+
+_GAP_SHARE = 0.02
+"""Share before it that belongs to neither side: neighbours in time are nearly the same."""
 
 
-def _split_at(dataset: Dataset, by: SplitBy, held_out: tuple[Group, ...]) -> Split:
-    chosen = set(held_out)
-    test = dataset.select(lambda condition: group_of(condition, by) in chosen)
-    train = dataset.select(lambda condition: group_of(condition, by) not in chosen | {None})
-    return Split(train, test, by, held_out)
+def _beginning_and_end(dataset: Dataset) -> tuple[BoolArray, BoolArray]:
+    train, validate = (np.zeros(len(dataset), dtype=bool) for _ in range(2))
+    for condition, rows in dataset.slices():
+        if condition.kind in AT_REST:
+            continue
+        count = rows.stop - rows.start
+        first = rows.start + int((1.0 - _END_SHARE) * count)
+        train[rows.start : first - int(_GAP_SHARE * count)] = True
+        validate[first : rows.stop] = True
+    return train, validate

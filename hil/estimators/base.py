@@ -314,7 +314,7 @@ def prepared(dataset: Dataset, settings: FilterSettings) -> Dataset:
 
 
 def training_rows(dataset: Dataset, settings: FilterSettings) -> Dataset:
-    """The rows that a fit uses, with filtered columns: all, or every so manyth; none to judge."""
+    """Return the rows that a fit uses, with filtered columns; rows to judge are left out."""
     data = downsample(prepared(dataset, settings), settings)
     wanted = rows_to_fit(data)
     return data if np.all(wanted) else rows_of(data, wanted)

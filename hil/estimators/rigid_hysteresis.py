@@ -34,7 +34,7 @@ from hil.data import (
     SeriesKind,
     Stream,
     derivative,
-    kept_rows,
+    downsampling_mask,
     rows_to_fit,
     sample_rate,
 )
@@ -582,8 +582,8 @@ class TrainingData:
 
 def rows_kept(data: Dataset, settings: FilterSettings) -> BoolArray:
     """(N,) which rows a fit uses: what the settings say, else enough for the effort's cut-off."""
-    if settings.thins:
-        return kept_rows(data, settings)
+    if settings.downsamples:
+        return downsampling_mask(data, settings)
     out = np.zeros(len(data), dtype=bool)
     for _, rows in data.slices():
         out[rows][:: _stride(data["t"][rows], settings)] = True

@@ -301,7 +301,7 @@ class RigidClassical(RigidLinear):
                 hint="record more of them, or choose covariance: hac",
             )
         data = prepared(dataset, self.filters)
-        if self.filters.thins and self.filter_columns and not self.bends:
+        if self.filters.downsamples and self.filter_columns and not self.bends:
             # Left for later, steps would have folded, and the ends be filtered unlike the effort.
             terms = self._friction_terms(data)
             data = data.with_columns(**{FILTERED + name: term for name, term in terms.items()})

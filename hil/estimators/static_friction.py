@@ -30,15 +30,15 @@ from scipy.signal import savgol_filter
 from hil.arms import Payload
 from hil.core import BoolArray, FitError, FloatArray, IntArray, SpecError
 from hil.data import (
+    ARRIVAL_POINTS,
+    ARRIVAL_Q,
+    ARRIVAL_QD,
     AT_REST,
-    POINTS,
-    QD,
     Dataset,
     Prediction,
-    Q,
     SeriesKind,
     Stream,
-    directions,
+    approach_directions,
 )
 from hil.dynamics import RobotModel, joint_columns
 from hil.estimators.base import payload_torque
@@ -218,7 +218,7 @@ class StaticFriction(StaticModel):
                 "the paths into the dwells hold infinite values",
                 hint="load the recording again: positions and velocities must be finite",
             )
-        known = directions(paths) != 0
+        known = approach_directions(paths) != 0
         if not known.any():
             raise FitError(
                 f"{self.estimator} needs to know from where the poses were approached, and the "
@@ -297,7 +297,7 @@ class StaticFriction(StaticModel):
         """What the columns are made of, for dwells with one row each."""
         paths = rows.arrivals if rows.arrivals is not None else unknown_paths(rows)
         warmer = np.nan_to_num(celsius(rows) - self.celsius_)
-        return Rest(self._load(rows), directions(paths), np.nan_to_num(paths), warmer)
+        return Rest(self._load(rows), approach_directions(paths), np.nan_to_num(paths), warmer)
 
     def _observations(self, data: Dataset) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
         q, still = data["q"], np.zeros_like(data["q"])
@@ -476,7 +476,7 @@ class Rest:
     Attributes:
         load: (D, n) torque that gravity and payload take [N·m], as far as it is known beforehand.
         direction: (D, n) +1 from below, −1 from above, 0 unknown.
-        paths: (D, K, 2, n) see `hil.data.approach_path`; 0 where unknown.
+        paths: (D, K, 2, n) see `hil.data.arrival`; 0 where unknown.
         warmer: (D, n) joint temperatures less their mean in training [K]; 0 where unknown.
     """
 
@@ -515,7 +515,7 @@ def memory_terms(rest: Rest, lengths_rad: Sequence[float]) -> dict[str, FloatArr
         rest: What is known of the arms.
         lengths_rad: Lengths x of Dahl's states [rad].
     """
-    states = states_at_rest(smooth(rest.paths[:, :, Q]), lengths_rad)
+    states = states_at_rest(smooth(rest.paths[:, :, ARRIVAL_Q]), lengths_rad)
     named = {"coulomb": rest.direction}
     named |= {f"memory{k + 1}": state for k, state in enumerate(states)}
     terms = {}
@@ -533,7 +533,7 @@ def correction_features(rest: Rest) -> FloatArray:
     all joints the load, the load with the joint's own direction, the load with its magnitude, and
     the temperature with its own direction: what stopping one joint does to the others.
     """
-    position, speed = rest.paths[:, :, Q], rest.paths[:, :, QD]
+    position, speed = rest.paths[:, :, ARRIVAL_Q], rest.paths[:, :, ARRIVAL_QD]
     magnitude = np.abs(rest.load)
     shared = np.hstack([rest.load, rest.load * magnitude])
     found = []
@@ -582,7 +582,7 @@ def period(t: FloatArray) -> float:
 
 def unknown_paths(rows: Dataset) -> FloatArray:
     """(S, K, 2, n) paths of which nothing is known."""
-    return np.full((len(rows.conditions), POINTS, 2, rows.n_joints), np.nan)
+    return np.full((len(rows.conditions), ARRIVAL_POINTS, 2, rows.n_joints), np.nan)
 
 
 def dwells_in(dataset: Dataset) -> tuple[Dataset, BoolArray, IntArray]:

@@ -34,8 +34,8 @@ from hil.core import BoolArray, FitError, FloatArray, IntArray, SpecError
 from hil.data import (
     SAMPLES_PER_DWELL,
     Dataset,
-    DwellRule,
     Prediction,
+    RestRule,
     SeriesKind,
     Stream,
     dwells_of,
@@ -131,7 +131,7 @@ class StaticModel(WlsEstimator):
         self._remember(dataset, robot, scale)
         require_clean(dataset, ("t", "q", "effort"))
         self._open()
-        dwells = dwells_of(dataset, DwellRule(speed=self.rest_speed / 2))
+        dwells = dwells_of(dataset, RestRule(speed=self.rest_speed / 2))
         require_plausible(dwells, robot)
         return dwells
 

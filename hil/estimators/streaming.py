@@ -15,7 +15,7 @@ import numpy as np
 
 from hil.arms import Payload
 from hil.core import DataError, FloatArray
-from hil.data import POINTS, SAMPLES_PER_DWELL, STEP_S, Track, arrival
+from hil.data import ARRIVAL_POINTS, ARRIVAL_STEP_S, SAMPLES_PER_DWELL, Track, arrival
 from hil.estimators.friction_memory import advanced, carried_step
 
 State = TypeVar("State")
@@ -134,7 +134,7 @@ class DahlMemory:
 KEPT_S = 2.0
 """A joint that came to rest longer ago than this has no known approach any more [s]."""
 
-FORMING_S = POINTS * STEP_S + 0.1
+FORMING_S = ARRIVAL_POINTS * ARRIVAL_STEP_S + 0.1
 """Standing still for so long, the arm has the whole path into the pose behind it [s]."""
 
 AGAIN_S = 0.04
@@ -147,7 +147,7 @@ class ApproachMemory:
     It is known once the arm has stood for ten samples; before that, and in motion, it is 0.
 
     Args:
-        friction: (1, K, 2, n) path (`hil.data.approach_path`) and (1, n) positions → (1, n).
+        friction: (1, K, 2, n) path (`hil.data.arrival`) and (1, n) positions → (1, n).
         rest_speed: Slower than this, every joint is at rest [rad/s].
         period_s: Time between samples [s].
     """

@@ -160,7 +160,7 @@ def evaluate(
 
     Args:
         model: A fitted model; its own filters act on the motion it predicts from.
-        dataset: Data the model has not seen (see `hil.data.splits.assert_disjoint`).
+        dataset: Data the model has not seen (see `hil.data.assert_disjoint`).
         train_std: (n,) standard deviation of the training signal for `nrmse`; by default that of
             the group judged.
         prediction: What the model predicts for the dataset, if it is known; else it is computed.

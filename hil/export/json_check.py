@@ -16,7 +16,7 @@ import numpy as np
 
 from hil.arms import Payload
 from hil.core import FitError, FloatArray
-from hil.data import POINTS, STEP_S
+from hil.data import ARRIVAL_POINTS, ARRIVAL_STEP_S
 from hil.dynamics import base_parameters
 from hil.estimators import (
     RigidHysteresis,
@@ -259,7 +259,7 @@ def _linear(model: StaticModel, q: FloatArray, load: Payload | None, what: str) 
     paths, current = _paths(q), np.cos(3.0 * q) * model.sigma_
     data = dwells_of(model, q, load, effort=current, temperature=np.full_like(q, CELSIUS))
     if isinstance(model, StaticFriction):
-        both = np.stack([paths, np.gradient(paths, STEP_S, axis=1)], axis=2)
+        both = np.stack([paths, np.gradient(paths, ARRIVAL_STEP_S, axis=1)], axis=2)
         told = _uncorrected(model).predict(replace(data, arrivals=both))
     else:
         # As every static model does: without networks, which are not in the document.
@@ -277,7 +277,7 @@ def _linear(model: StaticModel, q: FloatArray, load: Payload | None, what: str) 
 
 def _paths(q: FloatArray) -> FloatArray:
     """(N, K, n) ways into poses from both sides: parabolas, which smoothing leaves as they are."""
-    s = np.linspace(1.0, 0.0, POINTS)[None, :, None]
+    s = np.linspace(1.0, 0.0, ARRIVAL_POINTS)[None, :, None]
     return np.asarray(1e-3 * np.sign(np.sin(5.0 * q))[:, None] * s * (1.4 * s - 0.4))
 
 

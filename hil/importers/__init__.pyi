@@ -4,7 +4,6 @@ from .completeness import recorded_steps as recorded_steps
 from .completeness import rows_of as rows_of
 from .completeness import step_is_complete as step_is_complete
 from .described import dwell_rule_of as dwell_rule_of
-from .described import found_plan as found_plan
 from .described import origin_of_run as origin_of_run
 from .described import robot_of_run as robot_of_run
 from .described import steps_of_plan as steps_of_plan
@@ -18,6 +17,10 @@ from .load import load_source as load_source
 from .load import require_arm_as_recorded as require_arm_as_recorded
 from .load import serial_of as serial_of
 from .load import with_payload as with_payload
+from .passive_plan import PASSIVE_PLAN_FILE as PASSIVE_PLAN_FILE
+from .passive_plan import DetectedSteps as DetectedSteps
+from .passive_plan import Segmenter as Segmenter
+from .passive_plan import passive_plan_document as passive_plan_document
 from .series import Origin as Origin
 from .series import Series as Series
 from .series import assemble as assemble

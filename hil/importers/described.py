@@ -16,7 +16,6 @@ import numpy as np
 
 from hil.arms import Payload
 from hil.core import DataError, FloatArray, shown
-from hil.data import DwellRule as StayRule
 from hil.data import SeriesKind
 from hil.importers.series import Origin, StepNote
 from hil.planning import DwellRule
@@ -182,41 +181,3 @@ def dwell_rule_of(plan: Mapping[str, Any], where: object) -> DwellRule:
             raise ValueError(f"samples is {samples}")
         rest = {key: number(raw[key], key) for key in raw if key != "samples"}
         return DwellRule(samples=samples, **rest)
-
-
-FOUND_FORMAT = 1
-
-
-def found_plan(
-    steps: list[dict[str, Any]], *, name: str, robot: Mapping[str, Any], payload: Payload
-) -> dict[str, Any]:
-    """What was found, in the form of a plan document, but without motions: it moves nothing.
-
-    Args:
-        steps: By `FoundSteps.steps`.
-        name: Of the recording.
-        robot: As in its start document.
-        payload: What was mounted.
-    """
-    rule = DwellRule(settle_rad_s=StayRule().speed)
-    return {
-        "hil_found": FOUND_FORMAT,
-        "name": name,
-        "robot_model": robot["model"],
-        "joint_names": list(robot["joint_names"]),
-        "rate_hz": robot["rate_hz"],
-        "dwell": {
-            "dwell_s": rule.dwell_s,
-            "samples": rule.samples,
-            "settle_rad_s": rule.settle_rad_s,
-            "timeout_s": rule.timeout_s,
-        },
-        "loads": [
-            {
-                "mass_kg": payload.mass,
-                "com_m": list(payload.com),
-                "inertia_kgm2": list(payload.inertia),
-            }
-        ],
-        "steps": steps,
-    }

@@ -17,11 +17,10 @@ import numpy as np
 
 from hil.arms import Payload, require_same_arm
 from hil.core import AnyPath, DataError, StructArray, read_json, sources_of
-from hil.data import FOUND_FILE, SAMPLES_PER_DWELL, UPRIGHT, Dataset, FoundSteps, SeriesKind
+from hil.data import SAMPLES_PER_DWELL, UPRIGHT, Dataset, SeriesKind
 from hil.importers.completeness import base_record, dwell_is_over, rows_of
 from hil.importers.described import (
     dwell_rule_of,
-    found_plan,
     mapping,
     origin_of_import,
     origin_of_run,
@@ -32,6 +31,7 @@ from hil.importers.described import (
     steps_of_plan,
     vector,
 )
+from hil.importers.passive_plan import PASSIVE_PLAN_FILE, DetectedSteps, passive_plan_document
 from hil.importers.series import TARGET, Series, StepNote, assemble, cut
 from hil.planning import DwellRule
 from hil.recording import (
@@ -179,23 +179,24 @@ def _from_run(path: Path, kinds: Collection[SeriesKind]) -> Dataset:
 
 
 def _plan_of(run: RunDirectory) -> tuple[dict[str, Any], Path]:
-    """The plan of a run, or what was found in a passive recording; and the file it is from.
+    """The plan of a run, or the one detected in a passive recording; and the file it is from.
 
-    What a recording that was killed has not come to write down is found in its rows.
+    The plan of a passive recording that was killed is detected from its rows.
     """
     start, file = run.start, run.path / "plan.json"
     if start.get("passive"):
-        file = run.path / FOUND_FILE
+        file = run.path / PASSIVE_PLAN_FILE
     if file.exists() or not start.get("passive"):
         return read_json(file), file
-    found = FoundSteps()
+    detected = DetectedSteps()
     for part in run.recordings:
         if (rows := _part(part)) is not None:
-            found.add(rows)
+            detected.add(rows)
     with reading(run.path / "start.json"):
         payload = payload_of(start["loads"][0])
         name, robot = str(start["experiment"]), robot_of_run(start)
-        return found_plan(found.steps(), name=name, robot=robot, payload=payload), file
+        steps = detected.steps()
+        return passive_plan_document(steps, name=name, robot=robot, payload=payload), file
 
 
 def _part(path: Path) -> StructArray | None:

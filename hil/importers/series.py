@@ -12,7 +12,16 @@ import numpy as np
 
 from hil.arms import Payload
 from hil.core import BoolArray, DataError, FloatArray, IntArray, StructArray
-from hil.data import AT_REST, POINTS, Conditions, Dataset, SeriesKind, Track, arrival, is_pause
+from hil.data import (
+    ARRIVAL_POINTS,
+    AT_REST,
+    Conditions,
+    Dataset,
+    SeriesKind,
+    Track,
+    arrival,
+    is_pause,
+)
 from hil.robot import Status
 
 SHORTEST_PIECE = 20
@@ -151,7 +160,7 @@ def _arrivals(series: Sequence[Series], kept: Sequence[StructArray]) -> FloatArr
     if not any(one.note.kind in AT_REST for one in series):
         return None
     n = kept[0].dtype["q"].shape[0]
-    out = np.full((len(series), POINTS, 2, n), np.nan)
+    out = np.full((len(series), ARRIVAL_POINTS, 2, n), np.nan)
     for i, (one, rows) in enumerate(zip(series, kept, strict=True)):
         if one.note.kind in AT_REST and len(rows):
             first, last = rows["device_time"][[0, -1]].tolist()

@@ -21,9 +21,9 @@ from hil.data import (
     Dataset,
     FilterSettings,
     downsample,
-    learn_and_validate,
     rows_of,
     rows_to_fit,
+    training_and_validation,
 )
 from hil.dynamics import RobotModel, base_parameters
 from hil.estimators import CHUNK, dahl_states, path_steps, payload_torque
@@ -63,7 +63,7 @@ class Preparation:
             DataError: Nothing is left to learn from or to stop by.
         """
         kept = self._kept(data)
-        learn, validate = learn_and_validate(kept, self.validation_share, self.seed)
+        learn, validate = training_and_validation(kept, self.validation_share, self.seed)
         torque = target(kept, scale, robot)
         length = None
         if self.memory:

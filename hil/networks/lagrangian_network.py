@@ -22,15 +22,15 @@ import numpy as np
 from hil.arms import Payload
 from hil.core import DataError, FloatArray
 from hil.data import (
-    BY_SAMPLE,
     MOTION,
+    SAMPLE_SPLIT_PROTOCOL,
     Dataset,
     FilterSettings,
     Prediction,
     SeriesKind,
     Stream,
+    has_sample_split,
     rows_of,
-    told_by_sample,
 )
 from hil.dynamics import RobotModel
 from hil.estimators import (
@@ -163,7 +163,7 @@ class LagrangianEstimator(RobotEstimator):
 
         What the parameter of that name chose is settings, not rows: `get_params` has it.
         """
-        return BY_SAMPLE if self.by_sample_ else HONEST
+        return SAMPLE_SPLIT_PROTOCOL if self.by_sample_ else HONEST
 
     @protocol.setter
     def protocol(self, settings_of: str) -> None:
@@ -205,7 +205,7 @@ class LagrangianEstimator(RobotEstimator):
     def _learn(self, data: Dataset) -> None:
         from hil.networks.lagrangian import fit_network
 
-        self.by_sample_ = told_by_sample(data)
+        self.by_sample_ = has_sample_split(data)
         design, training = self._settings()
         preparation = Preparation(
             self.filters_, self.direction == "dahl", self.sign_width,

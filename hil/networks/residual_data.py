@@ -237,7 +237,7 @@ class Motions:
         comes later into what has been. The paper's `measured` torque is the filtered one.
 
         Args:
-            dataset: Prepared (`hil.data.filters.prepare`).
+            dataset: Prepared (`hil.data.prepare`).
             base: (N, n) what the physical model predicts for its rows, in its unit of effort.
             settings: Which torque is heard.
 

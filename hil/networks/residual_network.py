@@ -23,15 +23,15 @@ import numpy as np
 from hil.arms import Payload
 from hil.core import DataError, FitError, FloatArray, SpecError
 from hil.data import (
-    BY_SAMPLE,
+    SAMPLE_SPLIT_PROTOCOL,
     Dataset,
     FilterSettings,
     Prediction,
     Stream,
+    has_sample_split,
     motion_rates,
     persistence,
     rmse,
-    told_by_sample,
 )
 from hil.dynamics import RobotModel
 from hil.estimators import (
@@ -191,7 +191,7 @@ class ResidualNetwork(RobotEstimator):
             return self._network.protocol
         if base.protocol != HONEST:
             return base.protocol
-        return BY_SAMPLE if self.by_sample_ else self._network.protocol
+        return SAMPLE_SPLIT_PROTOCOL if self.by_sample_ else self._network.protocol
 
     def extras(self) -> dict[str, str]:
         """PyTorch, and what the physics needs."""
@@ -276,7 +276,7 @@ class ResidualNetwork(RobotEstimator):
         )  # fmt: skip
         learnt = learn(data, physics, course)
         judged = Judged.of(data, physics, learnt, self.margin, self.coverage)
-        self.base_, self.by_sample_ = physics.model, told_by_sample(data)
+        self.base_, self.by_sample_ = physics.model, has_sample_split(data)
         self.selection_, self.bands_ = judged.selection, judged.bands
         self.correction_, self.coverage_ = judged.correction, judged.coverage
         self.sigma_, self.curves_ = judged.sigma, learnt.curves[0]
@@ -485,7 +485,7 @@ def notes_of(
     data: Dataset, physics: Physics, learnt: Learnt, judged: Judged, network: ResidualSettings
 ) -> tuple[str, ...]:
     """Return notes for the model: of the physics, the selection, and the trivial observer."""
-    by_sample, unit = told_by_sample(data), data.effort_unit
+    by_sample, unit = has_sample_split(data), data.effort_unit
     left_out = "left-out samples" if by_sample else "left-out trajectories"
     notes = [*physics.model.notes_, *judged.selection.notes(data.joint_names, unit, left_out)]
     if np.all(physics.fold == NO_FOLD):

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from hil.core import BoolArray, FloatArray, IntArray
-from hil.data import Dataset, group_of, groups, rows_to_fit, told_by_sample
+from hil.data import Dataset, group_of, groups, has_sample_split, rows_to_fit
 from hil.estimators import RobotEstimator, SpeedBands, with_prefix, without_prefix
 from hil.networks.residual_data import Motions, ResidualSettings, in_motion, trajectory_numbers
 from hil.networks.residual_tcn import TrainedTcn, require_finite_arrays
@@ -87,7 +87,7 @@ def fold_of_rows(dataset: Dataset, folds: int, seed: int) -> IntArray:
     trajectories row by row: a row's neighbours are then learned from in any case.
     """
     fold = np.full(len(dataset), NO_FOLD)
-    if told_by_sample(dataset):
+    if has_sample_split(dataset):
         return fold
     wanted = rows_to_fit(dataset)
     learned = [i for i, (_, rows) in enumerate(dataset.slices()) if np.any(wanted[rows])]

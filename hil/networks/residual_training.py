@@ -24,7 +24,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from hil.core import BoolArray, DataError, FitError, FloatArray, IntArray
-from hil.data import Dataset, learn_and_validate
+from hil.data import Dataset, training_and_validation
 from hil.networks.residual_data import (
     GROUP,
     TRAINING,
@@ -99,7 +99,7 @@ def _rounds(data: Dataset, fold: IntArray, course: Course) -> Iterator[tuple[Boo
     """Rows to learn from and rows to stop by, once per network."""
     numbers = np.unique(fold[fold >= 0])
     if len(numbers) < 2:
-        yield learn_and_validate(data, course.validation_share, course.seed)
+        yield training_and_validation(data, course.validation_share, course.seed)
         return
     for number in numbers:
         yield (fold >= 0) & (fold != number), fold == number

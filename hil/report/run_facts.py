@@ -16,8 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from hil.core import DataError, HilError, Source, is_live
-from hil.data import FOUND_FILE
-from hil.importers import completeness_of, rows_of
+from hil.importers import PASSIVE_PLAN_FILE, completeness_of, rows_of
 from hil.planning import Plan, read_plan
 from hil.recording import (
     Counts,
@@ -354,7 +353,7 @@ def _plan_of(path: Path, problems: list[str]) -> tuple[Document, Plan | None]:
     What was found in a passive recording is shown like a plan, and is none.
     """
     if not path.exists():
-        return document(path.with_name(FOUND_FILE), problems), None
+        return document(path.with_name(PASSIVE_PLAN_FILE), problems), None
     content = document(path, problems)
     try:
         return content, read_plan(path)

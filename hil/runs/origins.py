@@ -3,7 +3,7 @@
 A version's facts name its run, its training sources and the digests of their recordings. Whatever
 of them fits a run keeps it (`Origins.why`); where they say too little, every run that may be meant
 is kept. A run that was renamed leaves its models with a name that leads nowhere: the rows that a
-model remembers of its training data (`hil.data.fingerprints`) still find it (`why_by_rows`).
+model remembers of its training data (`hil.data.Sketch`) still find it (`why_by_rows`).
 """
 
 from __future__ import annotations

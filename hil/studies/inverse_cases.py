@@ -15,10 +15,10 @@ from scipy.signal import butter, freqz
 from hil.arms import Payload
 from hil.core import BoolArray, DataError, FloatArray
 from hil.data import (
-    JUDGE,
-    LEARN,
     PART,
-    VALIDATE,
+    TEST,
+    TRAINING,
+    VALIDATION,
     Dataset,
     FilterSettings,
     Group,
@@ -117,10 +117,10 @@ class Case:
             assert_disjoint(self.learn, self.judge)
             if self.loaded is not None:
                 assert_disjoint(self.learn, self.loaded)
-        elif not np.array_equal(self.rows, self.judge[PART] == JUDGE):
+        elif not np.array_equal(self.rows, self.judge[PART] == TEST):
             raise DataError(
                 "rows are judged that were learned from",
-                hint=f"judge where the column {PART!r} is {JUDGE:.0f}",
+                hint=f"judge where the column {PART!r} is {TEST:.0f}",
             )
 
 
@@ -136,9 +136,9 @@ def honest_case(of: Recorded, seed: int) -> Case:
 def paper_case(of: Recorded, seed: int) -> Case:
     """60/20/20 % of the recorded samples, drawn one by one along whole motions."""
     data = of.bare.data
-    drawn = np.random.default_rng(seed).choice((LEARN, VALIDATE, JUDGE), len(data), p=SHARES)
+    drawn = np.random.default_rng(seed).choice((TRAINING, VALIDATION, TEST), len(data), p=SHARES)
     parted = with_part(data, drawn)
-    return _case("paper", seed, of, parted, parted, drawn == JUDGE, None)
+    return _case("paper", seed, of, parted, parted, drawn == TEST, None)
 
 
 CASES: Mapping[str, Callable[[Recorded, int], Case]] = {"paper": paper_case, "honest": honest_case}

@@ -22,11 +22,10 @@ from hil.core import (
     exit_code_of,
     hold_run,
 )
-from hil.data import FOUND_FILE, FoundSteps, StayFinder
 from hil.dynamics import load_model
 from hil.engine import SignalWatch
 from hil.estimators import StaticWls
-from hil.importers import found_plan
+from hil.importers import PASSIVE_PLAN_FILE, DetectedSteps, Segmenter, passive_plan_document
 from hil.planning import BUILT_IN, close_robot, find_station, open_robot
 from hil.recording import Attachment, McapWriter, Recorder, RunDirectory, collect_provenance
 from hil.robot import STATE_TOPIC, HasTopics, Listens, Robot, Status, state_topic
@@ -181,7 +180,7 @@ class ListeningRun:
     ) -> None:
         self._directory, self._wanted, self._robot = directory, wanted, robot
         self._signals, self._tell = signals, tell
-        self._finder, self._found = StayFinder(), FoundSteps()
+        self._segmenter, self._steps = Segmenter(), DetectedSteps()
         self._first = self._last = float("nan")
         self._began = False
         self._running_at = float("nan")
@@ -216,14 +215,14 @@ class ListeningRun:
         self._first = float(rows["device_time"][0]) if math.isnan(self._first) else self._first
         self._last = float(rows["device_time"][-1])
         self._unusable += int(np.count_nonzero(rows["status"] & NOT_USABLE))
-        self._put(sink, self._finder.feed(rows))
+        self._put(sink, self._segmenter.feed(rows))
         if isinstance(self._robot, HasTopics):
             for topic, further in self._robot.drain().items():
                 sink.put_topic(topic, further)
 
     def _put(self, sink: RunSink, rows: StructArray) -> None:
         if len(rows):
-            self._found.add(rows)
+            self._steps.add(rows)
             sink.put(rows)
 
     def _over(self, sink: RunSink) -> str:
@@ -254,14 +253,14 @@ class ListeningRun:
     ) -> Listened:
         problems: list[HilError] = []
         if sink is not None:
-            held = self._finder.flush()
+            held = self._segmenter.flush()
             if held is not None:
                 with contextlib.suppress(HilError):  # closing says what it is
                     self._put(sink, held)
             problems = sink.close()
         error = error or (problems[0] if problems else None)
-        steps, found = self._found.steps(), self._found.counts()
-        self._write_found(steps)
+        steps, found = self._steps.steps(), self._steps.counts()
+        self._write_plan(steps)
         counts = counts_of(recorder.counts[STATE_TOPIC]) if recorder else {}
         device_s = self._last - self._first if math.isfinite(self._last) else 0.0
         notes = (
@@ -281,15 +280,15 @@ class ListeningRun:
         self._directory.write_stop("failed" if error else "completed", reason, document)
         return Listened(self._directory.path, reason, counts, device_s, found, notes, error)
 
-    def _write_found(self, steps: list[dict[str, Any]]) -> None:
-        found = found_plan(
+    def _write_plan(self, steps: list[dict[str, Any]]) -> None:
+        plan = passive_plan_document(
             steps,
             name=self._wanted.name,
             robot=self._directory.start["robot"],
             payload=self._wanted.payload or Payload(),
         )
-        with contextlib.suppress(HilError):  # it can be found again from the rows
-            self._directory.write_json(FOUND_FILE, found)
+        with contextlib.suppress(HilError):  # it can be detected again from the rows
+            self._directory.write_json(PASSIVE_PLAN_FILE, plan)
 
 
 def _notes(wanted: Wanted, counts: dict[str, int]) -> tuple[str, ...]:

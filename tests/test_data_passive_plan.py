@@ -10,8 +10,13 @@ from hypothesis import strategies as st
 from hil.arms.payload import Payload
 from hil.core.typing import StructArray
 from hil.data.dwells import find_dwells
-from hil.data.stays import MOST_HELD, FoundSteps, StayFinder
-from hil.importers.described import dwell_rule_of, found_plan, steps_of_plan
+from hil.importers.described import dwell_rule_of, steps_of_plan
+from hil.importers.passive_plan import (
+    MOST_HELD_BACK,
+    DetectedSteps,
+    Segmenter,
+    passive_plan_document,
+)
 from hil.robot.state import state_dtype
 
 RATE_HZ = 125.0
@@ -38,14 +43,14 @@ def motion(program=PROGRAM, noise: float = 0.0) -> StructArray:
 
 
 def found(rows: StructArray, cuts: list[int]) -> StructArray:
-    finder = StayFinder()
-    pieces = [finder.feed(piece.copy()) for piece in np.split(rows, sorted(cuts))]
-    held = finder.flush()
+    segmenter = Segmenter()
+    pieces = [segmenter.feed(piece.copy()) for piece in np.split(rows, sorted(cuts))]
+    held = segmenter.flush()
     return np.concatenate([*pieces, *([] if held is None else [held])])
 
 
 def steps_of(rows: StructArray) -> list[dict]:
-    steps = FoundSteps()
+    steps = DetectedSteps()
     steps.add(rows)
     return steps.steps()
 
@@ -116,9 +121,11 @@ def test_a_long_motion_is_a_trajectory_if_most_of_the_motion_is():
 def test_an_arm_whose_clock_stands_still_is_not_held_back_for_ever():
     rows = motion([(0.0, 30.0)])
     rows["device_time"] = 1.0
-    finder = StayFinder()
-    assert len(finder.feed(rows[: MOST_HELD - 10])) == 0
-    assert len(finder.feed(rows[MOST_HELD - 10 : MOST_HELD + 10])) == MOST_HELD + 10
+    segmenter = Segmenter()
+    assert len(segmenter.feed(rows[: MOST_HELD_BACK - 10])) == 0
+    assert (
+        len(segmenter.feed(rows[MOST_HELD_BACK - 10 : MOST_HELD_BACK + 10])) == MOST_HELD_BACK + 10
+    )
 
 
 def test_unknown_velocity_is_motion():
@@ -127,10 +134,12 @@ def test_unknown_velocity_is_motion():
     assert set(found(rows, [50])["segment"]) == {0}
 
 
-def test_the_found_plan_says_what_steps_of_a_plan_say():
+def test_the_passive_plan_says_what_steps_of_a_plan_say():
     robot = {"model": "ur5", "joint_names": ["a"] * 6, "rate_hz": 125.0}
     steps = steps_of(found(motion(), []))
-    plan = found_plan(steps, name="p", robot=robot, payload=Payload(1.5, (0.0, 0.0, 0.1)))
+    plan = passive_plan_document(
+        steps, name="p", robot=robot, payload=Payload(1.5, (0.0, 0.0, 0.1))
+    )
     assert "hil_plan" not in plan
     assert plan["loads"][0]["mass_kg"] == 1.5
     notes = steps_of_plan(plan, "plan", (), ("dwell", "move"))
