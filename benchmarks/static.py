@@ -31,7 +31,7 @@ from hil.dynamics import load_model
 from hil.estimators import estimator
 from hil.estimators.static_linear import StaticLinear
 from hil.estimators.static_model import PaperGravity
-from hil.importers.load import load_source
+from hil.importers.sources import load_source
 
 SEEDS, QUICK_SEEDS = (1, 2, 3), (1,)
 """Of development; `tests/test_proof_stick_friction.py` judges on others."""

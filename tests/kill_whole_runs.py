@@ -300,7 +300,7 @@ def gone_on_with(folder: Path) -> str:
 
 def require_whole(folder: Path, run: Path, before: dict[int, bytes]) -> None:
     """Require a run at its end, with all that was on the disk before."""
-    from hil.importers.load import load_source
+    from hil.importers.sources import load_source
     from hil.recording.run_directory import RESERVE
 
     (entry,) = listed(folder)

@@ -15,7 +15,7 @@ from pipeline_parts import occasion
 
 from hil.core.typing import FloatArray
 from hil.evaluation.fitting import usable_part
-from hil.importers.load import load_source
+from hil.importers.sources import load_source
 from hil.maintenance.ledger import Ledger
 from hil.maintenance.stages import FOLDER
 from hil.models.model_registry import Registry

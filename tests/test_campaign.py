@@ -12,7 +12,7 @@ import pytest
 import hil
 from hil.core.errors import DataError
 from hil.evaluation.holdout import hold_out
-from hil.importers.load import load_source
+from hil.importers.sources import load_source
 from hil.recording.mcap_reader import read_topic
 from hil.recording.run_directory import RunDirectory
 from hil.spec.experiment import HoldOut

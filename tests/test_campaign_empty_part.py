@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 import hil
 from hil.cli.app import app
 from hil.core.errors import DataError
-from hil.importers.load import load_source
+from hil.importers.sources import load_source
 from hil.recording import McapWriter, RunDirectory, read_topic
 from hil.recording.recovery import recover
 from hil.robot.state import state_topic

@@ -20,7 +20,7 @@ from hil.arms.payload import Payload
 from hil.cli.app import app
 from hil.core.errors import DataError, PluginError, RobotConnectionError, SpecError
 from hil.data.dwells import dwells_of
-from hil.importers.load import load_source
+from hil.importers.sources import load_source
 from hil.recording.mcap_reader import read_topic
 from hil.recording.run_directory import RunDirectory
 from hil.report import render_report

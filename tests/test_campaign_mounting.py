@@ -15,7 +15,7 @@ from hil.data.dwells import series_means
 from hil.dynamics import load_model
 from hil.estimators import load_model_file
 from hil.estimators.static_model import StaticWls
-from hil.importers.load import gravity_of, load_source
+from hil.importers.sources import gravity_of, load_source
 from hil.recording.run_directory import RunDirectory
 from hil.workflow.running import RunReport
 

@@ -23,7 +23,7 @@ from hil.core.errors import DataError, PreflightFailed, RecordingError
 from hil.engine import Engine, Reply
 from hil.importers import completeness
 from hil.importers.completeness import completeness_of
-from hil.importers.load import load_source
+from hil.importers.sources import load_source
 from hil.planning.plan import Plan
 from hil.recording.mcap_reader import read_topic
 from hil.recording.recorder import Recorder

@@ -17,7 +17,7 @@ from cia402_robot import options
 
 from hil.can.frames import Frame
 from hil.core.errors import DataError, PluginError
-from hil.importers.load import load_source
+from hil.importers.sources import load_source
 from hil.workflow.replaying import replay
 from hil_drivers.cia402.mapping import INCOMPLETE, POSITION
 from hil_drivers.cia402.options import options_of

@@ -20,8 +20,8 @@ from hil.cli.app import app
 from hil.core.errors import DataError, HilError, PluginError, RecordingError
 from hil.data.dataset import Dataset
 from hil.importers import import_recording
-from hil.importers.exporting import export_data
-from hil.importers.load import load_source
+from hil.importers.sample_export import export_data
+from hil.importers.sources import load_source
 from hil.planning.plan import LoadStep
 
 pytestmark = pytest.mark.quick

@@ -10,7 +10,7 @@ from hil.arms.payload import Payload
 from hil.cli.app import app
 from hil.core.errors import DataError, RecordingError, SpecError
 from hil.importers import ImportMap, import_recording
-from hil.importers.load import load_source, serial_of
+from hil.importers.sources import load_source, serial_of
 from hil.recording import read_info
 
 NAMES = ["a", "b"]
@@ -181,6 +181,12 @@ def test_only_ten_bad_rows_are_listed_with_their_total(tmp_path) -> None:
         imported(written(tmp_path / "run.csv", table(), lines=bad), layout(), tmp_path)
     assert caught.value.message.count("\n  line ") == 10
     assert "5 more" in caught.value.message
+
+
+def test_a_delimiter_in_quotes_is_part_of_its_field(tmp_path) -> None:
+    path = written(tmp_path / "run.csv", table(), lines={7: '0.06,0.1,"0,2",0,0,1'})
+    with pytest.raises(DataError, match="line 7: has 6 fields instead of 7"):
+        imported(path, layout(), tmp_path)
 
 
 def test_blank_lines_do_not_shift_line_numbers(tmp_path) -> None:

@@ -8,7 +8,7 @@ from scipy.io import savemat
 
 from hil.core.errors import DataError
 from hil.importers import ImportMap, import_recording
-from hil.importers.load import load_source
+from hil.importers.sources import load_source
 
 pytestmark = pytest.mark.quick
 

@@ -9,7 +9,7 @@ import pytest
 from test_spec_schema import faults
 
 from hil.core.yaml import read_source
-from hil.importers.import_map_schema import map_schema
+from hil.importers.import_map import map_schema
 
 ROOT = Path(__file__).parents[1]
 MAPS = sorted((ROOT / "experiments" / "maps").glob("*.yaml"))

@@ -9,7 +9,7 @@ from hil.arms.payload import Payload
 from hil.core.errors import DataError
 from hil.data.filters import sample_rate
 from hil.data.splits import groups
-from hil.importers.load import load_source, serial_of
+from hil.importers.sources import load_source, serial_of
 from hil.recording import Attachment, McapWriter, RunDirectory
 from hil.robot import Status
 from hil.robot.state import STATE_TOPIC, state_topic

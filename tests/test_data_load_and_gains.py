@@ -14,7 +14,7 @@ from hil.estimators.payload import payload_halves
 from hil.estimators.rigid_hysteresis import RigidHysteresis
 from hil.estimators.rigid_linear import RigidWls
 from hil.importers import import_recording
-from hil.importers.load import load_source
+from hil.importers.sources import load_source
 
 ROOT = Path(__file__).parents[1]
 DATA = Path(os.environ.get("HIL_DATA", ROOT.parent / "shared" / "data"))

@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 from hil.arms.payload import Payload
 from hil.core.typing import StructArray
 from hil.data.dwells import find_dwells
-from hil.importers.described import dwell_rule_of, steps_of_plan
 from hil.importers.passive_plan import (
     MOST_HELD_BACK,
     DetectedSteps,
     Segmenter,
     passive_plan_document,
 )
+from hil.importers.sources import dwell_rule_of, steps_of_plan
 from hil.robot.state import state_dtype
 
 RATE_HZ = 125.0

@@ -13,7 +13,7 @@ from hil.dynamics import load_model
 from hil.estimators.rigid_linear import RigidWls
 from hil.evaluation import evaluate
 from hil.importers import import_recording
-from hil.importers.load import load_source
+from hil.importers.sources import load_source
 
 ROOT = Path(__file__).parents[1]
 DATA = Path(os.environ.get("HIL_DATA", ROOT.parent / "shared" / "data"))

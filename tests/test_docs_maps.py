@@ -8,9 +8,8 @@ from pathlib import Path
 import pytest
 
 from hil.importers import import_recording, load_map
-from hil.importers.import_map import ImportMap
-from hil.importers.load import load_source
-from hil.importers.units import QUANTITY_DIMENSIONS, units_of
+from hil.importers.import_map import QUANTITY_DIMENSIONS, ImportMap, units_of
+from hil.importers.sources import load_source
 from hil.spec.model_tree import Model, keys_of, tree
 
 PAGE = (Path(__file__).parents[1] / "docs" / "reference" / "maps.md").read_text("utf-8")

@@ -21,7 +21,7 @@ from hil.cli.app import app
 from hil.core.errors import DataError, HilError
 from hil.core.yaml import parse
 from hil.engine.preflight import CheckResult
-from hil.importers.load import gravity_of, load_source, serial_of
+from hil.importers.sources import gravity_of, load_source, serial_of
 from hil.recording import Attachment, McapWriter, RunDirectory, read_events
 from hil.report import render_report, summary_lines
 from hil.report.run_facts import read_facts

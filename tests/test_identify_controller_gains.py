@@ -16,7 +16,7 @@ from hil.cli.app import app
 from hil.core.errors import DataError, FitError, RecordingError, SpecError
 from hil.estimators.drive_gains import controller_gains, read_gains, write_gains
 from hil.importers import import_recording
-from hil.importers.load import load_source
+from hil.importers.sources import load_source
 
 pytestmark = pytest.mark.quick
 

@@ -10,7 +10,7 @@ import hil
 from hil.arms.payload import Payload, parse_payload
 from hil.core.errors import DataError, FitError, PluginError, SpecError
 from hil.importers import ImportMap, import_recording
-from hil.importers.load import load_source
+from hil.importers.sources import load_source
 
 
 def layout(**changes):

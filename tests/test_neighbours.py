@@ -9,7 +9,7 @@ import pytest
 from hil.core.errors import DataError, SpecError
 from hil.core.suggest import MOST_NAMED, neighbour_of, no_file
 from hil.dynamics.build import read_serial_arm
-from hil.importers.importer import import_recording
+from hil.importers.foreign_recordings import import_recording
 from hil.spec.load import load_spec
 
 MAPS = Path(__file__).parents[1] / "experiments" / "maps"

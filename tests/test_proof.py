@@ -15,7 +15,7 @@ import pytest
 
 import hil
 from hil.cli import benchmarking
-from hil.importers.load import load_source
+from hil.importers.sources import load_source
 from hil.recording.mcap_reader import read_topic
 
 pytestmark = pytest.mark.proof

@@ -21,7 +21,7 @@ from hil.data.dataset import Dataset
 from hil.dynamics import base_parameters, load_model
 from hil.estimators.drive_gains import calibrate_gains
 from hil.estimators.static_linear import StaticLinear
-from hil.importers.load import load_source
+from hil.importers.sources import load_source
 from hil_mock_robot.plant.model import build_plant
 from hil_mock_robot.plant.truth import draw_truth
 

@@ -14,7 +14,7 @@ from report_runs import JOINTS, dwell_plan, fourier_plan, rows_of_plan, write_ru
 
 import hil
 from hil.core.errors import DataError, RecordingError
-from hil.importers.load import load_source
+from hil.importers.sources import load_source
 from hil.report import render_fit_report, render_report
 from hil.report.run_facts import read_facts
 from hil.report.run_recording import dataset_of, read_recording
@@ -200,6 +200,18 @@ def test_a_dwell_that_was_repeated_is_shown_as_it_was_judged(tmp_path):
     assert problems == []
     assert [c.id for c in here.conditions] == [c.id for c in there.conditions]
     np.testing.assert_array_equal(here["effort"], there["effort"])
+
+
+def test_a_dwell_that_a_stop_cut_short_is_not_shown(tmp_path):
+    plan = dwell_plan()
+    rows = rows_of_plan(plan, dwell_rows=30)
+    last = max(step.index for step in plan if step.kind in ("dwell", "reference"))
+    torn = rows[: np.flatnonzero(rows["segment"] == last)[2]]  # two rows of it
+    run = write_run(tmp_path, plan, rows=torn, outcome="failed", reason="a stop")
+    facts = read_facts(run.path)
+    here = dataset_of(facts, read_recording(facts, []))
+    there = load_source(run.path).of_kind("dwell")
+    assert [c.id for c in here.conditions] == [c.id for c in there.conditions]
 
 
 def test_the_plots_show_the_series_the_evaluation_names_and_no_others(dwells, tmp_path):

@@ -25,7 +25,7 @@ import hil
 from hil.cli import benchmarking
 from hil.core.errors import RobotConnectionError, SpecError
 from hil.core.typing import StructArray
-from hil.importers.load import load_source
+from hil.importers.sources import load_source
 from hil.robot import Listens, Status
 from hil_drivers.ur.robot import UrRobot
 from hil_drivers.ur.rtde import Receiver

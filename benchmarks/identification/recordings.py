@@ -17,7 +17,7 @@ from benchmarks.identification.parts import cut, thinned
 from hil.core.errors import DataError
 from hil.data.dataset import Dataset
 from hil.importers import import_recording
-from hil.importers.load import load_source
+from hil.importers.sources import load_source
 
 _ROOT = Path(__file__).resolve().parents[2]
 MAPS = _ROOT / "experiments" / "maps"

@@ -1,7 +1,8 @@
-"""Datasets from run directories and from recordings of other tools, and back.
+"""Datasets of run directories and of recordings of other tools, and the way back.
 
-Runs and MCAP files, CSV, MATLAB, ROS 2 bags, ur_rtde, one value per line; `hil.data` is pure and
-imports none of this.
+`sources` turns a run directory or MCAP file into a dataset, `foreign_recordings` turns a file of
+another tool (CSV, MATLAB, ROS 2 bag, ur_rtde, one value per line) into an MCAP file, and
+`sample_export` writes samples for other programs. `hil.data` is pure and imports none of this.
 """
 
 import lazy_loader

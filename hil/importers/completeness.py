@@ -1,8 +1,8 @@
-"""Which steps of a plan were measured to their end? Judged by the recording, not by what was said.
+"""Completeness of a run: which steps of its plan were measured to their end.
 
-A kill loses the newest samples, and with them dwells that the event log calls done; a resumed run
-therefore asks the data. A dwell is complete when its rows alone satisfy the plan's rule, a
-trajectory when its rows reach its end and as good as none are missing.
+The recording decides, not the event log: a kill loses the newest samples, and with them dwells that
+the log calls done. A dwell is complete when its rows alone satisfy the plan's rule, a trajectory
+when its rows reach its end and hardly any are missing.
 """
 
 from __future__ import annotations
@@ -15,21 +15,16 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.core import BoolArray, DataError, FloatArray, StructArray
+from hil.core import DataError, StructArray
+from hil.importers.series import recorded_rows
 from hil.planning import DwellRule, Plan, Step
-from hil.recording import PARTIAL_SUFFIX, attempt_of, read_topic
-from hil.robot import STATE_TOPIC, Status, n_joints_of, state_dtype
-
-MISSING_AT_MOST = 0.05
-"""Share of a trajectory's samples; one that lacks more has to be measured again."""
-
-AT_END_RAD = 1e-3
-"""So near to its last set-point a trajectory has been followed to its end."""
+from hil.recording import attempt_of
+from hil.robot import Status, n_joints_of
 
 
 @dataclass(frozen=True)
 class Completeness:
-    """What of a plan was measured.
+    """The measured steps of a plan.
 
     Attributes:
         done: Measuring steps that are complete.
@@ -49,7 +44,7 @@ class Completeness:
         return tuple(step.index for step in self.expected if step.index not in self.done)
 
     def to_dict(self) -> dict[str, dict[str, int]]:
-        """Per kind of step, how many are done of how many."""
+        """Return how many steps of each kind are done, and of how many."""
         total = Counter(step.kind for step in self.expected)
         done = Counter(step.kind for step in self.expected if step.index in self.done)
         return {kind: {"done": done[kind], "of": n} for kind, n in sorted(total.items())}
@@ -64,10 +59,10 @@ class Completeness:
 
 
 def completeness_of(plan: Plan, recordings: Iterable[Path]) -> Completeness:
-    """Judge recordings of a run; torn and damaged ones are read as far as they are whole.
+    """Return the completeness of a run; torn and damaged recordings count as far as they are whole.
 
     Args:
-        plan: What was to be measured.
+        plan: The steps to measure.
         recordings: `RunDirectory.recordings`.
 
     Raises:
@@ -96,81 +91,20 @@ def completeness_of(plan: Plan, recordings: Iterable[Path]) -> Completeness:
     )
 
 
-def recorded_steps(
-    recordings: Iterable[Path], wanted: Collection[int]
-) -> Iterator[tuple[dict[int, StructArray], set[int]]]:
-    """Per attempt, in order: the rows of the steps wanted, and every step that has any rows.
-
-    Args:
-        recordings: `RunDirectory.recordings`.
-        wanted: Indices of steps.
-
-    Raises:
-        DataError: A recording is no MCAP file at all, or of a newer hil.
-    """
-    for _, files in groupby(recordings, attempt_of):
-        found: dict[int, StructArray] = {}
-        seen: set[int] = set()
-        for index, rows in _steps_in(files):
-            seen.add(index)
-            if index in wanted:
-                found[index] = rows.copy()  # a view would keep the whole recording in memory
-        yield found, seen
-
-
-def step_is_complete(step: Step, rows: StructArray, plan: Plan) -> bool:
-    """Whether the rows of one step, of one attempt and in order, are all that it needs."""
-    if step.kind == "trajectory":
-        return _trajectory_is_whole(rows, step, plan)
-    return dwell_is_over(rows, plan.dwell_rule(step))
-
-
-def dwell_is_over(rows: StructArray, rule: DwellRule) -> bool:
-    """Whether a dwell has settled, or taken as long as it may."""
-    elapsed = rows["device_time"][-1] - rows["device_time"][0]
-    return dwell_settles(rows, rule) or bool(elapsed >= rule.timeout_s)
-
-
-def dwell_settles(rows: StructArray, rule: DwellRule) -> bool:
-    """Whether the arm was at rest for long enough at some moment; the engine's own rule."""
-    quiet = np.abs(rows["qd"]).max(axis=1) < rule.settle_rad_s
-    late = rows["device_time"] - rows["device_time"][0] >= rule.dwell_s
-    return bool((_run_lengths(quiet) >= rule.samples)[late].any())
-
-
-def _run_lengths(true: BoolArray) -> FloatArray:
-    """(N,) how many values in a row, up to and with each one, are true."""
-    index = np.arange(1, len(true) + 1)
-    last_false = np.maximum.accumulate(np.where(true, 0, index))
-    return np.asarray(index - last_false, dtype=np.float64)
-
-
-def _trajectory_is_whole(rows: StructArray, step: Step, plan: Plan) -> bool:
-    """Whether it was followed to its end, with as good as all of its samples."""
-    assert step.motion is not None
-    expected = plan.step_duration_s(step) * plan.rate_hz
-    moving = rows[(rows["status"] & int(Status.MOVING)) != 0]
-    if len(moving) < (1 - MISSING_AT_MOST) * expected - 1:
-        return False
-    # An arm that was stopped also came to rest, but somewhere else.
-    off = np.abs(rows["q_target"][-1] - step.motion.q_end)
-    return bool(np.nanmax(off, initial=0.0) < AT_END_RAD)
-
-
 def _steps_in(files: Iterable[Path]) -> Iterator[tuple[int, StructArray]]:
-    """(step, its rows) of one attempt, in order; a step may go on in the next part."""
-    held: StructArray | None = None
+    """Yield the steps of one attempt and their rows; a step may go on in the next part."""
+    last: StructArray | None = None
     for file in files:
-        rows = rows_of(file)
+        rows = recorded_rows(file)
         if rows is None:
             continue
-        if held is not None:
-            rows = _joined(held, rows, file)
+        if last is not None:
+            rows = _joined(last, rows, file)
         edges = np.flatnonzero(np.diff(rows["segment"])) + 1
-        *whole, held = np.split(rows, edges)
+        *whole, last = np.split(rows, edges)
         yield from ((int(piece["segment"][0]), piece) for piece in whole)
-    if held is not None and len(held):
-        yield int(held["segment"][0]), held
+    if last is not None and len(last):
+        yield int(last["segment"][0]), last
 
 
 def _joined(before: StructArray, rows: StructArray, file: Path) -> StructArray:
@@ -183,34 +117,66 @@ def _joined(before: StructArray, rows: StructArray, file: Path) -> StructArray:
     )
 
 
-def rows_of(file: Path) -> StructArray | None:
-    """The base robot record of a run's recording; None for one that was torn before any.
+def recorded_steps(
+    recordings: Iterable[Path], wanted: Collection[int]
+) -> Iterator[tuple[dict[int, StructArray], set[int]]]:
+    """Yield the rows of the steps wanted, and every step that has any rows, attempt by attempt.
+
+    Args:
+        recordings: `RunDirectory.recordings`.
+        wanted: Indices of steps.
 
     Raises:
-        DataError: A finished recording cannot be read, or is of a newer hil; it holds another
-            record.
+        DataError: A recording is no MCAP file at all, or of a newer hil.
     """
-    try:
-        rows = read_topic(file, salvage=True)
-    except DataError:
-        # A part that was torn before its first whole chunk has no rows and is no reason to stop.
-        if file.name.endswith(PARTIAL_SUFFIX):
-            return None
-        raise
-    return base_record(file, rows)
+    for _, files in groupby(recordings, attempt_of):
+        rows_of_step: dict[int, StructArray] = {}
+        seen: set[int] = set()
+        for index, rows in _steps_in(files):
+            seen.add(index)
+            if index in wanted:
+                # A view would keep the whole recording in memory.
+                rows_of_step[index] = rows.copy()
+        yield rows_of_step, seen
 
 
-def base_record(file: Path, rows: StructArray) -> StructArray:
-    """The rows, if they are the base robot record: another tool's topic may have the same name.
+def step_is_complete(step: Step, rows: StructArray, plan: Plan) -> bool:
+    """Return whether the rows of one step, of one attempt and in order, are all that it needs."""
+    if step.kind == "trajectory":
+        return _trajectory_is_whole(rows, step, plan)
+    return dwell_is_over(rows, plan.dwell_rule(step))
 
-    Raises:
-        DataError: They are not.
-    """
-    names = rows.dtype.names or ()
-    n = rows.dtype["q"].shape[0] if "q" in names and rows.dtype["q"].shape else 0
-    if rows.dtype == state_dtype(n):
-        return rows
-    raise DataError(
-        f"{file}: its {STATE_TOPIC} is not the base robot record",
-        hint="turn recordings of other tools into ours: hil import FILE --map MAP.yaml -o OUT",
-    )
+
+def dwell_is_over(rows: StructArray, rule: DwellRule) -> bool:
+    """Return whether a dwell has settled, or has taken as long as it may."""
+    elapsed = rows["device_time"][-1] - rows["device_time"][0]
+    return dwell_settles(rows, rule) or bool(elapsed >= rule.timeout_s)
+
+
+def dwell_settles(rows: StructArray, rule: DwellRule) -> bool:
+    """Return whether the arm was at rest for long enough at some moment, by the engine's rule."""
+    quiet = np.abs(rows["qd"]).max(axis=1) < rule.settle_rad_s
+    late = rows["device_time"] - rows["device_time"][0] >= rule.dwell_s
+    # Quiet samples in a row, up to and with each one.
+    index = np.arange(1, len(rows) + 1)
+    in_a_row = index - np.maximum.accumulate(np.where(quiet, 0, index))
+    return bool((in_a_row >= rule.samples)[late].any())
+
+
+MISSING_AT_MOST = 0.05
+"""Share of a trajectory's samples; one that lacks more has to be measured again."""
+
+AT_END_RAD = 1e-3
+"""A trajectory that comes this near to its last set-point has been followed to its end."""
+
+
+def _trajectory_is_whole(rows: StructArray, step: Step, plan: Plan) -> bool:
+    """Return whether it was followed to its end, with nearly all of its samples."""
+    assert step.motion is not None
+    expected = plan.step_duration_s(step) * plan.rate_hz
+    moving = rows[(rows["status"] & int(Status.MOVING)) != 0]
+    if len(moving) < (1 - MISSING_AT_MOST) * expected - 1:
+        return False
+    # An arm that was stopped also came to rest, but somewhere else.
+    off = np.abs(rows["q_target"][-1] - step.motion.q_end)
+    return bool(np.nanmax(off, initial=0.0) < AT_END_RAD)

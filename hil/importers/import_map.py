@@ -1,4 +1,9 @@
-"""The import map: a YAML file that says what the columns of somebody else's file are."""
+"""The import map: a YAML file that describes the columns of a recording of another tool.
+
+An `ImportMap` says which column holds which quantity of which joint, in which unit and scale, and
+what the file itself does not say: robot, load, drive gains, which rows are trajectories. It is as
+strict as a spec; every mistake is reported at its line and column (`load_map`).
+"""
 
 from __future__ import annotations
 
@@ -17,21 +22,85 @@ from pydantic import (
 )
 
 from hil.arms import Payload
-from hil.core import Problem, read_source, refuse, shown
-from hil.importers.units import QUANTITY_DIMENSIONS, unit_named, units_of
-from hil.spec import Finite, FormatVersion, Load, Positive, Strict, explain, findings_of, mistake
+from hil.core import UNITS, Problem, Unit, read_source, refuse, shown
+from hil.spec import (
+    DIALECT,
+    Finite,
+    FormatVersion,
+    Load,
+    Positive,
+    Strict,
+    explain,
+    findings_of,
+    mistake,
+)
 
 FileFormat = Literal["csv", "ur_rtde", "interleaved", "mat", "ros2bag"]
 Address: TypeAlias = int | str
+"""Number (from 1) or name of a column."""
+
+# Units
+
+
+QUANTITY_DIMENSIONS = {
+    "t": ("time",),
+    "q": ("angle",),
+    "qd": ("angular velocity",),
+    "effort": ("current", "torque"),
+    "temperature": ("temperature",),
+    "q_target": ("angle",),
+    "qd_target": ("angular velocity",),
+    "qdd_target": ("angular acceleration",),
+    "effort_target": ("current", "torque"),
+    "torque_target": ("torque",),
+}
+"""Dimensions that each quantity of a recording may have."""
+
+QUANTITIES = tuple(name for name in QUANTITY_DIMENSIONS if name != "t")
+"""Everything but time that a map can name."""
+
+SI_SYMBOL = {
+    "time": "s",
+    "angle": "rad",
+    "angular velocity": "rad/s",
+    "angular acceleration": "rad/s²",
+    "current": "A",
+    "torque": "N·m",
+    "temperature": "°C",
+}
+
+_MORE = {
+    "ns": Unit("ns", "time", 1e-9),
+    "rev": Unit("rev", "angle", 6.283185307179586),
+    "mrad": Unit("mrad", "angle", 1e-3),
+    "mnm": Unit("mN·m", "torque", 1e-3),
+    "knm": Unit("kN·m", "torque", 1e3),
+}
+_SPELLINGS = {"°": "deg", "°c": "c", "°f": "f", "µs": "us", "sec": "s", "amp": "a"}
+
+
+def unit_named(text: str) -> Unit | None:
+    """Return the unit of a spelling: `deg/s`, `deg_s`, `N·m`, `Nm`, `mA`, …; None if unknown."""
+    plain = text.strip().casefold().replace("·", "").replace("*", "").replace("^", "")
+    plain = plain.replace("²", "2")
+    suffix = "_".join(_SPELLINGS.get(part, part) for part in plain.split("/"))
+    return _MORE.get(suffix) or UNITS.get(suffix)
+
+
+def units_of(dimensions: tuple[str, ...]) -> list[str]:
+    """Return symbols of the units that measure any of these dimensions."""
+    known = {**UNITS, **_MORE}.values()
+    return [unit.symbol for unit in known if unit.dimension in dimensions]
+
+
+# Columns and rows
+
 
 MOST_COLUMNS = 10_000
 """A range over more is a slip."""
 
 _SPAN = re.compile(r"([0-9]+):([0-9]+)")
 _MOST_DIGITS = 15
-
-QUANTITIES = tuple(name for name in QUANTITY_DIMENSIONS if name != "t")
-"""Everything but time that a map can name."""
 
 
 def _expanded(value: Any) -> Any:
@@ -47,15 +116,8 @@ def _expanded(value: Any) -> Any:
     return [value]
 
 
-def _ascending(rows: str) -> str:
-    span = _SPAN.fullmatch(rows)
-    if span is None or len(rows) > 2 * _MOST_DIGITS or not 1 <= int(span[1]) <= int(span[2]):
-        raise mistake(f"must be FIRST:LAST, counted from 1, such as 120:5000, not {shown(rows)}")
-    return rows
-
-
 def _counted_from_one(addresses: tuple[Address, ...]) -> tuple[Address, ...]:
-    # Column 0 would be the last one without anybody noticing.
+    # Column 0 would silently be the last one.
     if any(isinstance(address, int) and address < 1 for address in addresses):
         raise mistake("columns are counted from 1")
     return addresses
@@ -65,12 +127,8 @@ def _as_list(value: Any) -> Any:
     return value if isinstance(value, list | tuple) else [value]
 
 
-# The JSON Schema is of what stands in the file, before a single value becomes a list.
-_ONE_ADDRESS: dict[str, Any] = {"anyOf": [{"type": "integer", "minimum": 1}, {"type": "string"}]}
-_ONE_NUMBER: dict[str, Any] = {"type": "number"}
-
-
 def _one_or_list(one: dict[str, Any]) -> WithJsonSchema:
+    """Return the schema of what stands in the file, before a single value becomes a list."""
     return WithJsonSchema({"anyOf": [one, {"type": "array", "items": one, "minItems": 1}]})
 
 
@@ -79,14 +137,21 @@ Addresses = Annotated[
     BeforeValidator(_expanded),
     AfterValidator(_counted_from_one),
     Field(min_length=1),
-    _one_or_list(_ONE_ADDRESS),
+    _one_or_list({"anyOf": [{"type": "integer", "minimum": 1}, {"type": "string"}]}),
 ]
 PerJoint = Annotated[
     tuple[Finite, ...],
     BeforeValidator(_as_list),
     Field(min_length=1),
-    _one_or_list(_ONE_NUMBER),
+    _one_or_list({"type": "number"}),
 ]
+
+
+def _ascending(rows: str) -> str:
+    span = _SPAN.fullmatch(rows)
+    if span is None or len(rows) > 2 * _MOST_DIGITS or not 1 <= int(span[1]) <= int(span[2]):
+        raise mistake(f"must be FIRST:LAST, counted from 1, such as 120:5000, not {shown(rows)}")
+    return rows
 
 
 Rows = Annotated[
@@ -94,6 +159,9 @@ Rows = Annotated[
     AfterValidator(_ascending),
     WithJsonSchema({"type": "string", "pattern": r"^[0-9]{1,15}:[0-9]{1,15}$"}),
 ]
+
+
+# The map
 
 
 class Quantity(Strict):
@@ -195,18 +263,18 @@ class ImportMap(Strict):
         return len(self.joint_names)
 
     def with_payload(self, payload: Payload) -> ImportMap:
-        """The same layout with this load for every row, whatever map and windows declare."""
+        """Return the map with this load for every row, whatever it and its windows declare."""
         load = Load(mass_kg=payload.mass, com_m=payload.com, inertia_kgm2=payload.inertia)
         windows = tuple(window.model_copy(update={"payload": None}) for window in self.windows)
         return self.model_copy(update={"payload": load, "windows": windows})
 
     def quantities(self) -> dict[str, Quantity]:
-        """The quantities the map names, by field of the base robot record or `torque_target`."""
-        found = ((name, getattr(self.columns, name)) for name in QUANTITIES)
-        return {name: quantity for name, quantity in found if quantity is not None}
+        """Return the quantities of the map by field of the base robot record or `torque_target`."""
+        named = ((name, getattr(self.columns, name)) for name in QUANTITIES)
+        return {name: quantity for name, quantity in named if quantity is not None}
 
     def windows_of(self, file: str) -> tuple[Window, ...]:
-        """The windows that hold for a file of this name."""
+        """Return the windows that apply to a file of this name."""
         return tuple(window for window in self.windows if fnmatch(file, window.file))
 
     @model_validator(mode="after")
@@ -222,27 +290,6 @@ class ImportMap(Strict):
         _check_unit("t", self.columns.t.unit)
         _check_effort(self)
         return self
-
-
-def load_map(path: str | Path) -> ImportMap:
-    """Read an import map.
-
-    Raises:
-        SpecError: With a line `file:line:column: path: message` for every problem.
-    """
-    source = read_source(path)
-    if not isinstance(source.data, dict) or "hil_map" not in source.data:
-        message = "an import map is a mapping that begins with `hil_map: 1`"
-        raise refuse([Problem(source.mark(()), (), message)])
-    try:
-        found = ImportMap.model_validate(source.data)
-    except ValidationError as error:
-        findings = findings_of(error.errors(include_url=False), ImportMap, source)
-        problems = [explain(finding, ImportMap, source) for finding in findings]
-        raise refuse(source.problems + problems) from None
-    if source.problems:
-        raise refuse(source.problems)
-    return found
 
 
 def _check_lengths(name: str, quantity: Quantity, n: int) -> None:
@@ -263,12 +310,40 @@ def _check_unit(name: str, text: str) -> None:
         raise mistake(f"{text!r} is no unit of {name}: use {known}", "columns", name, "unit")
 
 
-def _check_effort(chosen: ImportMap) -> None:
+def _check_effort(layout: ImportMap) -> None:
     for name in ("effort", "effort_target"):
-        quantity = getattr(chosen.columns, name)
+        quantity = getattr(layout.columns, name)
         unit = unit_named(quantity.unit) if quantity else None
-        if unit and unit.dimension != chosen.effort_kind:
+        if unit and unit.dimension != layout.effort_kind:
             raise mistake(
-                f"{quantity.unit} is a {unit.dimension}, but effort_kind is {chosen.effort_kind}",
+                f"{quantity.unit} is a {unit.dimension}, but effort_kind is {layout.effort_kind}",
                 "columns", name, "unit",
             )  # fmt: skip
+
+
+def load_map(path: str | Path) -> ImportMap:
+    """Return the import map of a file.
+
+    Raises:
+        SpecError: With a line `file:line:column: path: message` for every problem.
+    """
+    source = read_source(path)
+    if not isinstance(source.data, dict) or "hil_map" not in source.data:
+        message = "an import map is a mapping that begins with `hil_map: 1`"
+        raise refuse([Problem(source.mark(()), (), message)])
+    try:
+        layout = ImportMap.model_validate(source.data)
+    except ValidationError as error:
+        findings = findings_of(error.errors(include_url=False), ImportMap, source)
+        problems = [explain(finding, ImportMap, source) for finding in findings]
+        raise refuse(source.problems + problems) from None
+    if source.problems:
+        raise refuse(source.problems)
+    return layout
+
+
+def map_schema() -> dict[str, Any]:
+    """Return the JSON Schema (draft 2020-12) of import maps, for editors: `hil schema map`."""
+    head = {"$schema": DIALECT, "$id": "urn:hil:schema:map:1", "title": "hil map"}
+    schema = ImportMap.model_json_schema()
+    return head | {key: value for key, value in schema.items() if key not in head}

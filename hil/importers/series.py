@@ -1,4 +1,8 @@
-"""Cutting recorded rows into series: by plan step, at pauses, around unusable rows."""
+"""Series of a recording: its rows cut by plan step, at pauses and around unusable rows.
+
+`recorded_rows` reads the rows of one file of a run, `cut` cuts those of an attempt into series, and
+`assemble` makes a dataset of the series of all attempts.
+"""
 
 from __future__ import annotations
 
@@ -22,17 +26,11 @@ from hil.data import (
     arrival,
     is_pause,
 )
-from hil.robot import Status
+from hil.recording import PARTIAL_SUFFIX, read_topic
+from hil.robot import STATE_TOPIC, Status, state_dtype
 
 SHORTEST_PIECE = 20
 """Rows; shorter pieces of a cut trajectory are not worth keeping (and too short to filter)."""
-
-COLUMNS = (
-    "q", "qd", "effort", "temperature", "q_target", "qd_target", "qdd_target", "effort_target",
-)  # fmt: skip
-
-TARGET = "torque_target"
-"""The controller's own torques [N·m], in imports of controllers that log them beside currents."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,28 +47,16 @@ class StepNote:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Origin:
-    """Whose samples they are; see `Dataset`."""
-
-    source: str
-    robot: str
-    joint_names: tuple[str, ...]
-    effort_kind: Literal["current", "torque"]
-    drive_gains: FloatArray | None
-    drive_gains_source: str
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Series:
     """Rows of one step without a pause in them.
 
     Attributes:
         step: Index of the step.
         piece: 0 unless a pause cut the step in several.
-        attempt: Recording the rows are from.
+        attempt: Number of the attempt.
         note: What the step measured.
         rows: The recorded rows.
-        track: Where the arm was all through that recording.
+        track: Motion of the arm during the whole attempt.
     """
 
     step: int
@@ -81,11 +67,64 @@ class Series:
     track: Track
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Origin:
+    """The robot whose samples they are, and the source; see `Dataset`."""
+
+    source: str
+    robot: str
+    joint_names: tuple[str, ...]
+    effort_kind: Literal["current", "torque"]
+    drive_gains: FloatArray | None
+    drive_gains_source: str
+
+
+# Rows of a recording
+
+
+def recorded_rows(file: Path) -> StructArray | None:
+    """Return the base robot record of a run's recording; None if it was torn before any row.
+
+    Raises:
+        DataError: A finished recording cannot be read, or is of a newer hil; it holds another
+            record.
+    """
+    try:
+        rows = read_topic(file, salvage=True)
+    except DataError:
+        # A part that was torn before its first whole chunk has no rows and is no reason to stop.
+        if file.name.endswith(PARTIAL_SUFFIX):
+            return None
+        raise
+    return base_record(file, rows)
+
+
+def base_record(file: Path, rows: StructArray) -> StructArray:
+    """Return the rows if they are the base robot record.
+
+    A topic of another tool may have the same name.
+
+    Raises:
+        DataError: They are another record.
+    """
+    names = rows.dtype.names or ()
+    n = rows.dtype["q"].shape[0] if "q" in names and rows.dtype["q"].shape else 0
+    if rows.dtype == state_dtype(n):
+        return rows
+    raise DataError(
+        f"{file}: its {STATE_TOPIC} is not the base robot record",
+        hint="turn recordings of other tools into ours: hil import FILE --map MAP.yaml -o OUT",
+    )
+
+
+# From rows to series
+
+
 def cut(rows: StructArray, steps: Mapping[int, StepNote], attempt: int) -> list[Series]:
-    """The series in a recording, in order; a step that was repeated counts as recorded last.
+    """Return the series in a recording, in order; a repeated step counts as recorded last.
 
     Args:
-        rows: All rows of the recording: what lies between two visits of a step tells them apart.
+        rows: All rows of the recording: those between two visits of a step tell the visits apart.
         steps: The steps that are wanted.
         attempt: Number of the recording.
     """
@@ -97,7 +136,8 @@ def cut(rows: StructArray, steps: Mapping[int, StepNote], attempt: int) -> list[
     track = Track(*(rows[name][usable] for name in ("device_time", "q", "qd")))
     segment = rows["segment"][usable]
     pause = is_pause(np.diff(rows["device_time"][usable]))
-    edges = _edges((np.diff(segment) != 0) | pause)
+    breaks = np.flatnonzero((np.diff(segment) != 0) | pause) + 1
+    edges = np.concatenate(([0], breaks, [len(usable)]))
     last: dict[int, list[IntArray]] = {}
     previous = None
     for (start, stop), step in zip(pairwise(edges), segment[edges[:-1]].tolist(), strict=True):
@@ -114,18 +154,42 @@ def cut(rows: StructArray, steps: Mapping[int, StepNote], attempt: int) -> list[
     ]
 
 
+def _advancing(t: FloatArray) -> BoolArray:
+    """Return which rows have a time that is known and later than every time before."""
+    before = np.concatenate(([-np.inf], np.fmax.accumulate(t)[:-1])) if len(t) else t
+    later: BoolArray = t > before
+    return later
+
+
+def _worth_keeping(pieces: list[IntArray]) -> list[IntArray]:
+    if len(pieces) == 1:
+        return pieces
+    return [piece for piece in pieces if len(piece) >= SHORTEST_PIECE] or pieces[-1:]
+
+
+# From series to a dataset
+
+
+COLUMNS = (
+    "q", "qd", "effort", "temperature", "q_target", "qd_target", "qdd_target", "effort_target",
+)  # fmt: skip
+
+TORQUE_TARGET = "torque_target"
+"""The controller's own torques [N·m], in imports of controllers that log them beside currents."""
+
+
 def assemble(series: Sequence[Series], origin: Origin, dwell_samples: int) -> Dataset:
-    """The dataset of some series.
+    """Return the dataset of some series.
 
     Args:
         series: In the order they shall have.
-        origin: Whose samples they are.
+        origin: Robot and source of the samples.
         dwell_samples: Rows kept of each dwell or reference, its last ones.
 
     Raises:
         DataError: There is not one usable sample, or the joints differ from the description.
     """
-    kept = [_settled_rows(one, dwell_samples) for one in series]
+    kept = [one.rows[-dwell_samples:] if one.note.kind in AT_REST else one.rows for one in series]
     if not sum(len(rows) for rows in kept):
         raise DataError(
             f"{origin.source} holds no usable samples",
@@ -137,7 +201,7 @@ def assemble(series: Sequence[Series], origin: Origin, dwell_samples: int) -> Da
         raise DataError(
             f"{origin.source} holds {recorded} joints, but describes {len(origin.joint_names)}"
         )
-    known = COLUMNS + ((TARGET,) if TARGET in (rows.dtype.names or ()) else ())
+    known = COLUMNS + ((TORQUE_TARGET,) if TORQUE_TARGET in (rows.dtype.names or ()) else ())
     columns = {name: np.ascontiguousarray(rows[name]) for name in known}
     present = {name: values for name, values in columns.items() if not np.all(np.isnan(values))}
     for needed in ("q", "effort"):
@@ -153,19 +217,6 @@ def assemble(series: Sequence[Series], origin: Origin, dwell_samples: int) -> Da
         drive_gains_source=origin.drive_gains_source,
         arrivals=_arrivals(series, kept),
     )
-
-
-def _arrivals(series: Sequence[Series], kept: Sequence[StructArray]) -> FloatArray | None:
-    """(S, K, 2, n) how the arm came to rest before each dwell; None without any dwell."""
-    if not any(one.note.kind in AT_REST for one in series):
-        return None
-    n = kept[0].dtype["q"].shape[0]
-    out = np.full((len(series), ARRIVAL_POINTS, 2, n), np.nan)
-    for i, (one, rows) in enumerate(zip(series, kept, strict=True)):
-        if one.note.kind in AT_REST and len(rows):
-            first, last = rows["device_time"][[0, -1]].tolist()
-            out[i] = arrival(one.track, first, last)
-    return out
 
 
 def _conditions(series: Series, source: str) -> Conditions:
@@ -185,23 +236,14 @@ def _conditions(series: Series, source: str) -> Conditions:
     )
 
 
-def _settled_rows(series: Series, dwell_samples: int) -> StructArray:
-    """All rows of a motion, the last ones of a dwell."""
-    return series.rows[-dwell_samples:] if series.note.kind in AT_REST else series.rows
-
-
-def _worth_keeping(pieces: list[IntArray]) -> list[IntArray]:
-    if len(pieces) == 1:
-        return pieces
-    return [piece for piece in pieces if len(piece) >= SHORTEST_PIECE] or pieces[-1:]
-
-
-def _advancing(t: FloatArray) -> BoolArray:
-    """Rows whose time is known and later than every time before."""
-    before = np.concatenate(([-np.inf], np.fmax.accumulate(t)[:-1])) if len(t) else t
-    later: BoolArray = t > before
-    return later
-
-
-def _edges(breaks: BoolArray) -> IntArray:
-    return np.concatenate(([0], np.flatnonzero(breaks) + 1, [len(breaks) + 1]))
+def _arrivals(series: Sequence[Series], kept: Sequence[StructArray]) -> FloatArray | None:
+    """Return (S, K, 2, n) how the arm came to rest before each dwell; None without any dwell."""
+    if not any(one.note.kind in AT_REST for one in series):
+        return None
+    n = kept[0].dtype["q"].shape[0]
+    out = np.full((len(series), ARRIVAL_POINTS, 2, n), np.nan)
+    for i, (one, rows) in enumerate(zip(series, kept, strict=True)):
+        if one.note.kind in AT_REST and len(rows):
+            first, last = rows["device_time"][[0, -1]].tolist()
+            out[i] = arrival(one.track, first, last)
+    return out

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from hil.core import DataError, HilError, Source, is_live
-from hil.importers import PASSIVE_PLAN_FILE, completeness_of, rows_of
+from hil.importers import PASSIVE_PLAN_FILE, completeness_of, recorded_rows
 from hil.planning import Plan, read_plan
 from hil.recording import (
     Counts,
@@ -398,7 +398,7 @@ def _recorded_by(run: RunDirectory, plan: Plan | None, rate_hz: float) -> Docume
     attempts: dict[int, Counts] = {}
     try:
         for path in run.recordings:
-            rows = rows_of(path)
+            rows = recorded_rows(path)
             if rows is not None and len(rows):
                 attempt = attempt_of(path)
                 attempts[attempt] = attempts.get(attempt, Counts()).after(rows, rate_hz)

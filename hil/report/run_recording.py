@@ -1,9 +1,8 @@
 """The samples of a run: all attempts on one time axis, and what is computed from their rows.
 
 `read_recording` reads every attempt once, torn files as far as they go. Drift at the reference
-pose and visited poses are computed from these rows; `dataset_of` cuts the same rows into the
-series a model is judged on. Reading them again by `hil.importers.load_source`, with all moves
-between them, would take longer than the rest of the report.
+pose and visited poses are computed from these rows; `dataset_of` makes a dataset of the same rows.
+Reading them again by `hil.importers.load_source` would take longer than the rest of the report.
 """
 
 from __future__ import annotations
@@ -17,9 +16,16 @@ import numpy as np
 
 from hil.core import DataError, FloatArray, IntArray, StructArray
 from hil.data import Dataset, SeriesKind
-from hil.importers import Origin, Series, assemble, cut, dwell_rule_of, origin_of_run, steps_of_plan
-from hil.recording import PARTIAL_SUFFIX, Counts, RunDirectory, attempt_of, read_topic
-from hil.report.documents import as_index
+from hil.importers import Attempt, DescribedRun, dataset_of_attempts
+from hil.recording import (
+    PARTIAL_SUFFIX,
+    Counts,
+    RunDirectory,
+    attempt_of,
+    name_of_attempt,
+    read_topic,
+)
+from hil.report.documents import as_index, document
 from hil.report.run_facts import RunFacts
 
 
@@ -28,7 +34,8 @@ class Recording:
     """All samples of a run, attempts behind each other.
 
     Attributes:
-        attempts: Records of `state_dtype(n)`, one array per attempt.
+        attempts: Records of `state_dtype(n)`, one array per attempt that has any.
+        numbers: Number of each of these attempts.
         rows: All of them in one array.
         t: (N,) seconds since the first sample of the run.
         counts: Samples, gaps, missing, duplicates and overruns, all attempts together.
@@ -36,6 +43,7 @@ class Recording:
     """
 
     attempts: tuple[StructArray, ...]
+    numbers: tuple[int, ...]
     rows: StructArray
     t: FloatArray
     counts: Counts
@@ -73,24 +81,25 @@ class Recording:
 
 
 def read_recording(facts: RunFacts, problems: list[str]) -> Recording | None:
-    """The samples of a run; None when nothing is left.
+    """Return the samples of a run; None if nothing is left.
 
     Torn files are read as far as they go; they and unreadable ones are added to `problems`.
     """
-    kept = list(_attempts_of(RunDirectory(facts.path).recordings, problems))
-    if not kept:
+    attempts = dict(_attempts_of(RunDirectory(facts.path).recordings, problems))
+    if not attempts:
         return None
-    rate_hz = facts.rate_hz
-    rows = kept[0] if len(kept) == 1 else np.concatenate(kept)
-    return Recording(tuple(kept), rows, _times(kept), _count(kept, rate_hz), rate_hz)
+    rate_hz, parts = facts.rate_hz, tuple(attempts.values())
+    rows = parts[0] if len(parts) == 1 else np.concatenate(parts)
+    counts = _count(parts, rate_hz)
+    return Recording(parts, tuple(attempts), rows, _times(parts), counts, rate_hz)
 
 
-def _attempts_of(paths: Sequence[Path], problems: list[str]) -> Iterator[StructArray]:
-    """The samples of every attempt that has any, the parts of a long one behind each other."""
-    for _, files in groupby(paths, attempt_of):
+def _attempts_of(paths: Sequence[Path], problems: list[str]) -> Iterator[tuple[int, StructArray]]:
+    """Yield number and samples of every attempt that has any, the parts of a long one joined."""
+    for number, files in groupby(paths, attempt_of):
         parts = [rows for file in files if (rows := _samples_of(file, problems)) is not None]
         if kept := [rows for rows in parts if len(rows)]:
-            yield kept[0] if len(kept) == 1 else np.concatenate(kept)
+            yield number, kept[0] if len(kept) == 1 else np.concatenate(kept)
 
 
 def _samples_of(path: Path, problems: list[str]) -> StructArray | None:
@@ -212,34 +221,33 @@ JUDGED_KINDS: tuple[SeriesKind, ...] = ("dwell", "trajectory")
 
 
 def dataset_of(facts: RunFacts, recording: Recording) -> Dataset:
-    """The dwells and trajectories of a run.
+    """Return the dwells and trajectories of a run.
 
     Raises:
         DataError: There are none, or the run does not describe its robot.
     """
-    notes = steps_of_plan(facts.plan, facts.path / "plan.json", facts.unsettled_steps, JUDGED_KINDS)
-    latest: dict[int, list[Series]] = {}
-    for attempt, rows in enumerate(recording.attempts):
-        pieces = cut(rows, notes, attempt)
-        # A later attempt replaces what an earlier one recorded of the same step.
-        latest |= {piece.step: [] for piece in pieces}
-        for piece in pieces:
-            latest[piece.step].append(piece)
-    series = [piece for step in sorted(latest) for piece in latest[step]]
-    rule = dwell_rule_of(facts.plan, facts.path / "plan.json")
-    return assemble(series, _origin(facts), rule.samples)
-
-
-def _origin(facts: RunFacts) -> Origin:
     robot = facts.robot
     if not robot.get("model") or not facts.joint_names:
         raise DataError(
             f"{facts.path / 'start.json'} does not describe the robot",
             hint="the run directory is damaged or was edited: take it from a copy",
         )
-    described = {"joint_names": list(facts.joint_names), "effort_kind": _effort_kind(facts)}
-    return origin_of_run({"robot": {**robot, **described}}, str(facts.path))
+    effort_kind = "torque" if facts.effort_unit == "N·m" else "current"
+    described = {"joint_names": list(facts.joint_names), "effort_kind": effort_kind}
+    run = DescribedRun(
+        source=facts.path,
+        start={"robot": {**robot, **described}},
+        plan=facts.plan,
+        plan_file=facts.path / "plan.json",
+        unsettled=facts.unsettled_steps,
+    )
+    attempts = [
+        Attempt(number, rows, _is_completed(facts.path, number))
+        for number, rows in zip(recording.numbers, recording.attempts, strict=True)
+    ]
+    return dataset_of_attempts(run, attempts, JUDGED_KINDS)
 
 
-def _effort_kind(facts: RunFacts) -> str:
-    return "torque" if facts.effort_unit == "N·m" else "current"
+def _is_completed(path: Path, attempt: int) -> bool:
+    stop = document(path / name_of_attempt("stop.json", attempt), [])
+    return stop.get("outcome") == "completed"

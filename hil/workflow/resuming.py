@@ -24,7 +24,7 @@ from hil.arms import require_same_arm
 from hil.core import DataError, FloatArray, PreflightFailed, read_json
 from hil.engine import Outcome, RunResult
 from hil.excitation import STANDSTILL_RAD, Line
-from hil.importers import Completeness, completeness_of, rows_of
+from hil.importers import Completeness, completeness_of, recorded_rows
 from hil.planning import Approach, Experiment, Plan, Step, held, read_plan, standing_at
 from hil.planning import load as load_experiment
 from hil.recording import (
@@ -238,7 +238,7 @@ def _is_cold(unfinished: Unfinished, robot: Robot) -> bool:
     directory = unfinished.directory
     moved, last = 0.0, -1
     for path in directory.recordings:
-        rows = rows_of(path)
+        rows = recorded_rows(path)
         if rows is not None and (moving := (rows["status"] & int(Status.MOVING)) != 0).any():
             moved, last = float(np.nanmax(rows["host_time"][moving])), attempt_of(path)
     if time.time() - moved > COLD_AFTER_S:

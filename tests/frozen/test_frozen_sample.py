@@ -25,7 +25,7 @@ from safetensors.numpy import load_file
 import hil
 from hil.core import plugins
 from hil.estimators import load_model_file
-from hil.importers.load import load_source
+from hil.importers.sources import load_source
 from hil.recording import read_topic
 
 RUNS = {

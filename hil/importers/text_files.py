@@ -1,4 +1,10 @@
-"""Text tables: CSV with any delimiter, with or without header, and ur_rtde's recordings."""
+"""Text files: tables (CSV, ur_rtde's recordings) and files with one value per line.
+
+A table has any delimiter and may have a header; its columns are addressed by name or number, and
+quantities may be spread over several files side by side (`read_table`). Some loggers write one file
+per quantity instead, with one value per line and the joints of a sample behind each other
+(`read_interleaved`).
+"""
 
 from __future__ import annotations
 
@@ -12,8 +18,11 @@ from pathlib import Path
 import numpy as np
 
 from hil.core import DataError, FloatArray, IntArray, did_you_mean
+from hil.importers.foreign_samples import ForeignSamples
 from hil.importers.import_map import Address, ImportMap
-from hil.importers.raw import Raw
+
+# Tables
+
 
 RTDE_NAMES = {
     "q": "actual_q_{}",
@@ -31,19 +40,48 @@ RTDE_NAMES = {
 RTDE_TIME = "timestamp"
 
 
-@dataclass(eq=False)
-class Table:
-    """The wanted columns of one text file.
+def read_table(path: Path, layout: ImportMap) -> ForeignSamples:
+    """Return the columns that a map names, from one file or from several side by side.
 
-    Attributes:
-        values: (N, C) in the order they were asked for, NaN where unreadable.
-        lines: (N,) line of each row in the file, from 1.
-        problems: Row (from 0) → what is wrong with it.
+    Raises:
+        DataError: A file cannot be read, or a column is missing from all of it.
     """
+    wanted = _wanted_columns(layout)
+    by_file: dict[str | None, list[str]] = {}
+    for name, (file, _) in wanted.items():
+        by_file.setdefault(file, []).append(name)
+    parts = []
+    optional = _optional(layout)
+    for file, names in by_file.items():
+        lines = _open(_beside(path, file), layout)
+        known = [n for n in names if n not in optional or _is_there(wanted[n][1], lines)]
+        addresses = [a for name in known for a in wanted[name][1]]
+        parts.append((known, _parse(lines, [_index(a, lines) for a in addresses])))
+    return _joined(parts, {name: len(columns) for name, (_, columns) in wanted.items()})
 
-    values: FloatArray
-    lines: IntArray
-    problems: dict[int, str] = field(default_factory=dict)
+
+def _wanted_columns(layout: ImportMap) -> dict[str, tuple[str | None, tuple[Address, ...]]]:
+    """Return the file and the columns that each quantity is read from."""
+    out: dict[str, tuple[str | None, tuple[Address, ...]]] = {}
+    rtde = layout.format == "ur_rtde"
+    time = layout.columns.t
+    if time.rate_hz is None:
+        columns = time.columns or ((RTDE_TIME,) if rtde else ())
+        out["t"] = (time.file, _required("t", columns, 1))
+    for name, quantity in layout.quantities().items():
+        default = tuple(RTDE_NAMES[name].format(j) for j in range(layout.n_joints)) if rtde else ()
+        columns = quantity.columns or default
+        out[name] = (quantity.file, _required(name, columns, layout.n_joints))
+    return out
+
+
+def _required(name: str, columns: tuple[Address, ...], count: int) -> tuple[Address, ...]:
+    if len(columns) != count:
+        raise DataError(
+            f"the map gives {len(columns)} columns for {name}, but {count} are needed",
+            hint="name one column per joint (or t.rate_hz when the file has no time)",
+        )
+    return columns
 
 
 @dataclass(frozen=True)
@@ -67,54 +105,6 @@ class _Lines:
     def width(self) -> int:
         """Number of columns: of the header, or of most lines."""
         return len(self.names) if self.names else Counter(self.counts).most_common(1)[0][0]
-
-
-def read_text(path: Path, layout: ImportMap) -> Raw:
-    """Read the columns a map names, from one file or from several side by side.
-
-    Raises:
-        DataError: A file cannot be read, or a column is missing from all of it.
-    """
-    wanted = wanted_columns(layout)
-    by_file: dict[str | None, list[str]] = {}
-    for name, (file, _) in wanted.items():
-        by_file.setdefault(file, []).append(name)
-    parts = []
-    optional = _optional(layout)
-    for file, names in by_file.items():
-        lines = _open(_beside(path, file), layout)
-        known = [n for n in names if n not in optional or _is_there(wanted[n][1], lines)]
-        addresses = [a for name in known for a in wanted[name][1]]
-        parts.append((known, _parse(lines, [_index(a, lines) for a in addresses])))
-    return _joined(parts, {name: len(columns) for name, (_, columns) in wanted.items()})
-
-
-def wanted_columns(layout: ImportMap) -> dict[str, tuple[str | None, tuple[Address, ...]]]:
-    """Which columns of which file each quantity is read from.
-
-    Raises:
-        DataError: The map leaves columns out that its format has no names for.
-    """
-    out: dict[str, tuple[str | None, tuple[Address, ...]]] = {}
-    rtde = layout.format == "ur_rtde"
-    time = layout.columns.t
-    if time.rate_hz is None:
-        columns = time.columns or ((RTDE_TIME,) if rtde else ())
-        out["t"] = (time.file, _required("t", columns, 1))
-    for name, quantity in layout.quantities().items():
-        default = tuple(RTDE_NAMES[name].format(j) for j in range(layout.n_joints)) if rtde else ()
-        columns = quantity.columns or default
-        out[name] = (quantity.file, _required(name, columns, layout.n_joints))
-    return out
-
-
-def _required(name: str, columns: tuple[Address, ...], count: int) -> tuple[Address, ...]:
-    if len(columns) != count:
-        raise DataError(
-            f"the map gives {len(columns)} columns for {name}, but {count} are needed",
-            hint="name one column per joint (or t.rate_hz when the file has no time)",
-        )
-    return columns
 
 
 def _beside(path: Path, file: str | None) -> Path:
@@ -159,7 +149,7 @@ def _fields(line: str, delimiter: str | None) -> list[str]:
 
 
 def _optional(layout: ImportMap) -> set[str]:
-    """ur_rtde records what it was asked for: what it was not asked for is left out."""
+    """Return quantities that a file may lack; ur_rtde records only what its user asked for."""
     if layout.format == "ur_rtde":
         return set(layout.quantities()) - {"q", "effort"}
     return {name for name, quantity in layout.quantities().items() if quantity.optional}
@@ -174,7 +164,7 @@ def _is_there(addresses: tuple[Address, ...], lines: _Lines) -> bool:
 
 
 def _index(address: Address, lines: _Lines) -> int:
-    """Column number from 0."""
+    """Return the number of a column, from 0."""
     if isinstance(address, int):
         return address - 1
     if lines.names is None:
@@ -189,7 +179,22 @@ def _index(address: Address, lines: _Lines) -> int:
     return lines.names.index(address)
 
 
-def _parse(lines: _Lines, columns: Sequence[int]) -> Table:
+@dataclass(eq=False)
+class _Table:
+    """The wanted columns of one text file.
+
+    Attributes:
+        values: (N, C) in the order of the request, NaN where unreadable.
+        lines: (N,) line of each row in the file, from 1.
+        problems: Row (from 0) → what is wrong with it.
+    """
+
+    values: FloatArray
+    lines: IntArray
+    problems: dict[int, str] = field(default_factory=dict)
+
+
+def _parse(lines: _Lines, columns: Sequence[int]) -> _Table:
     expected = lines.width
     if max(columns, default=0) >= expected:
         raise DataError(
@@ -210,41 +215,111 @@ def _parse(lines: _Lines, columns: Sequence[int]) -> Table:
         except ValueError:
             pass
         else:
-            return Table(values, lines.numbers)
+            return _Table(values, lines.numbers)
     return _parse_row_by_row(lines, columns)
 
 
-def _parse_row_by_row(lines: _Lines, columns: Sequence[int]) -> Table:
-    """The slow way, which finds out which rows are bad and why."""
-    table = Table(np.full((len(lines.text), len(columns)), np.nan), lines.numbers)
+def _parse_row_by_row(lines: _Lines, columns: Sequence[int]) -> _Table:
+    """Return the columns with the bad rows and what is wrong with them; slow."""
+    table = _Table(np.full((len(lines.text), len(columns)), np.nan), lines.numbers)
     for row, (line, count) in enumerate(zip(lines.text, lines.counts, strict=True)):
-        if count != lines.width:
-            table.problems[row] = f"has {count} fields instead of {lines.width}"
+        # A delimiter in quotes counts as one at first.
+        fields = _fields(line, lines.delimiter) if count == lines.width else []
+        if len(fields) != lines.width:
+            table.problems[row] = f"has {len(fields) or count} fields instead of {lines.width}"
             continue
-        fields = _fields(line, lines.delimiter)
         for i, column in enumerate(columns):
             try:
                 table.values[row, i] = float(fields[column])
             except ValueError:
-                shown = fields[column][:20] or "nothing"
-                table.problems.setdefault(row, f"column {column + 1} is no number: {shown}")
+                text = fields[column][:20] or "nothing"
+                table.problems.setdefault(row, f"column {column + 1} is no number: {text}")
     return table
 
 
-def _joined(parts: list[tuple[list[str], Table]], widths: dict[str, int]) -> Raw:
-    """Put files side by side; rows that one of them lacks are bad."""
+def _joined(parts: list[tuple[list[str], _Table]], widths: dict[str, int]) -> ForeignSamples:
+    """Return files side by side; rows that one of them lacks are bad."""
     longest = max(parts, key=lambda part: len(part[1].lines))[1]
-    raw = Raw({}, longest.lines)
+    samples = ForeignSamples({}, longest.lines)
     for names, table in parts:
         missing = len(longest.lines) - len(table.lines)
         values = np.pad(table.values, ((0, missing), (0, 0)), constant_values=np.nan)
         for row in range(len(table.lines), len(longest.lines)):
-            raw.blame(row, f"{names[0]} ends before, after {len(table.lines)} rows")
+            samples.blame(row, f"{names[0]} ends before, after {len(table.lines)} rows")
         for row, why in table.problems.items():
-            raw.blame(row, why)
+            samples.blame(row, why)
         start = 0
         for name in names:
             block = values[:, start : start + widths[name]]
-            raw.columns[name] = block[:, 0] if name == "t" else block
+            samples.columns[name] = block[:, 0] if name == "t" else block
             start += widths[name]
-    return raw
+    return samples
+
+
+# One value per line
+
+
+def read_interleaved(path: Path, layout: ImportMap) -> ForeignSamples:
+    """Return the samples of one file per quantity, with n values a sample (time: one).
+
+    The samples of all files belong together by their number; a bad value spoils its sample.
+
+    Raises:
+        DataError: A file cannot be read or is empty.
+    """
+    files = {
+        name: (quantity.file, layout.n_joints) for name, quantity in layout.quantities().items()
+    }
+    if layout.columns.t.rate_hz is None:
+        files["t"] = (layout.columns.t.file, 1)
+    blocks: dict[str, FloatArray] = {}
+    problems: list[tuple[int, str]] = []
+    for name, (file, width) in files.items():
+        blocks[name], bad = _samples_of(_beside(path, file), width)
+        problems += bad
+    longest = max(len(block) for block in blocks.values())
+    samples = ForeignSamples({}, np.arange(1, longest + 1), "sample")
+    for row, why in problems:
+        samples.blame(row, why)
+    for name, block in blocks.items():
+        short = longest - len(block)
+        for row in range(len(block), longest):
+            samples.blame(row, f"{files[name][0] or path.name} ends before")
+        padded = np.pad(block, ((0, short), (0, 0)), constant_values=np.nan)
+        samples.columns[name] = padded[:, 0] if name == "t" else padded
+    return samples
+
+
+def _samples_of(path: Path, width: int) -> tuple[FloatArray, list[tuple[int, str]]]:
+    """Return (N, width) values, and the samples that are no good with the reason."""
+    try:
+        lines = path.read_text("utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise DataError(
+            f"cannot read {path}: {error}", hint="see whether it exists and may be read"
+        ) from error
+    while lines and not lines[-1].strip():
+        lines.pop()
+    if not lines:
+        raise DataError(f"{path} holds no values", hint="is it the whole file?")
+    values, problems = _numbers(path, lines, width)
+    rest = len(values) % width
+    if rest:
+        problems.append((len(values) // width, f"{path.name} ends within a sample"))
+        values = np.pad(values, (0, width - rest), constant_values=np.nan)
+    return values.reshape(-1, width), problems
+
+
+def _numbers(path: Path, lines: list[str], width: int) -> tuple[FloatArray, list[tuple[int, str]]]:
+    try:
+        return np.array(lines, dtype=np.float64), []
+    except ValueError:
+        pass
+    values = np.full(len(lines), np.nan)
+    problems = []
+    for i, line in enumerate(lines):
+        try:
+            values[i] = float(line)
+        except ValueError:
+            problems.append((i // width, f"{path.name} line {i + 1} is no number: {line[:20]}"))
+    return values, problems

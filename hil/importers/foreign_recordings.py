@@ -1,10 +1,13 @@
-"""Import a recording of another tool: read, check, convert, write; all of it or nothing."""
+"""Import of a recording of another tool into an MCAP file that is described as our own are.
+
+`import_recording` reads the file by its map, converts it to SI units, refuses or drops the rows
+that make no sense, and writes the samples with their origin: all of it or nothing.
+"""
 
 from __future__ import annotations
 
-import hashlib
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, get_args
 
@@ -14,32 +17,35 @@ from hil.arms import AnyPayload, payload_of
 from hil.core import (
     AnyPath,
     DataError,
+    IntArray,
     RecordingError,
     SpecError,
+    StructArray,
     did_you_mean,
     neighbour_of,
     no_file,
     path_of,
+    sha256_of,
 )
-from hil.importers.bag import read_bag
-from hil.importers.convert import convert
+from hil.data import sample_rate
+from hil.importers.foreign_samples import ForeignSamples, to_si
 from hil.importers.import_map import FileFormat, ImportMap, Window, load_map
-from hil.importers.interleaved import read_interleaved
-from hil.importers.mat import read_mat
-from hil.importers.raw import Raw
-from hil.importers.recording import segments_of, write_recording
-from hil.importers.text import read_text
+from hil.importers.matlab_files import read_matlab
+from hil.importers.ros2_bags import read_bag
+from hil.importers.series import TORQUE_TARGET
+from hil.importers.sources import PAYLOAD_METADATA, ROBOT_METADATA, WINDOW_PAYLOAD
+from hil.importers.text_files import read_interleaved, read_table
+from hil.recording import McapWriter
+from hil.robot import Topic, state_topic, torque_target_topic
+from hil.spec import Load
 
-READERS: dict[str, Callable[[Path, ImportMap], Raw]] = {
-    "csv": read_text,
-    "ur_rtde": read_text,
+READERS: dict[str, Callable[[Path, ImportMap], ForeignSamples]] = {
+    "csv": read_table,
+    "ur_rtde": read_table,
     "interleaved": read_interleaved,
-    "mat": read_mat,
+    "mat": read_matlab,
     "ros2bag": read_bag,
 }
-
-KEPT_LINE_NUMBERS = 1000
-"""Dropped lines that are listed in the output; their number is always given."""
 
 
 def import_recording(
@@ -52,12 +58,12 @@ def import_recording(
     drop_bad_rows: bool = False,
     payload: AnyPayload | None = None,
 ) -> dict[str, Any]:
-    """Turn a recording of another tool into our MCAP.
+    """Write a recording of another tool as an MCAP file of ours.
 
     Args:
         file: What to import: a file, or the folder of a bag or of files that belong together.
         map_file: YAML that says what its columns are, or an `ImportMap`.
-        out: The MCAP to be made.
+        out: The MCAP file to write.
         format_: Overrides the map's format.
         rows: First and last row, counted from 1 without the header, both included; the map's
             windows do not apply.
@@ -85,15 +91,15 @@ def import_recording(
     whole = READERS[layout.format](path, layout)
     numbered = np.arange(1, len(whole) + 1)
     chosen = whole.window(rows) if rows else whole
-    samples = convert(chosen, layout)
-    dropped = _judge(path, samples, drop_bad_rows)
+    samples = to_si(chosen, layout)
+    dropped = _dropped_lines(path, samples, drop_bad_rows)
     windows = () if rows else layout.windows_of(path.name)
     first, last = rows or (1, len(whole))
     kept = numbered[first - 1 : last][samples.good]
     good = samples.without_bad_rows()
-    segments = segments_of(kept, windows)
+    segments = _segments(kept, windows)
     origin = _origin(path, layout, rows, samples.place, dropped)
-    write_recording(out, good, segments, layout, origin, windows)
+    _write_recording(out, good, segments, layout, origin, windows)
     notes = [*_dropped_notes(samples, dropped), *_load_notes(layout, windows)]
     if rows is None:
         notes += _window_notes(path.name, layout, windows, int(np.sum(segments >= 0)))
@@ -108,7 +114,7 @@ def import_recording(
 
 
 def _require_place(out: Path) -> None:
-    """Before a long file is read: the output can be made there and hides nothing."""
+    """Raise if the output cannot be made or would hide a file, before a long file is read."""
     if out.exists():
         raise RecordingError(f"{out} exists already", hint="choose another -o, or remove that file")
     if not out.parent.is_dir():
@@ -129,8 +135,8 @@ def _with_format(layout: ImportMap, format_: str | None) -> ImportMap:
     return layout.model_copy(update={"format": format_})
 
 
-def _judge(path: Path, samples: Raw, drop_bad_rows: bool) -> list[int]:
-    """Where the bad rows stand, if they may be dropped.
+def _dropped_lines(path: Path, samples: ForeignSamples, drop_bad_rows: bool) -> list[int]:
+    """Return where the bad rows stand, if they may be dropped.
 
     Raises:
         DataError: They may not, or fewer than two good ones are left.
@@ -151,6 +157,24 @@ def _judge(path: Path, samples: Raw, drop_bad_rows: bool) -> list[int]:
     return samples.bad_lines
 
 
+def _segments(rows: IntArray, windows: tuple[Window, ...]) -> IntArray:
+    """Return (N,) the index of the window of each row (numbered from 1); −1 outside all of them.
+
+    Without windows, everything is one segment.
+    """
+    if not windows:
+        return np.zeros(len(rows), dtype=np.int64)
+    segments = np.full(len(rows), -1, dtype=np.int64)
+    for number, window in enumerate(windows):
+        first, last = window.span
+        segments[(rows >= first) & (rows <= last)] = number
+    return segments
+
+
+LISTED_LINES = 1000
+"""Dropped lines that are listed in the output; their number is always given."""
+
+
 def _origin(
     path: Path,
     layout: ImportMap,
@@ -158,34 +182,104 @@ def _origin(
     place: str,
     dropped: list[int],
 ) -> dict[str, str]:
-    """What the output says about where it came from; everything as text."""
+    """Return the metadata of the output about where it came from; every value is text."""
     return {
         "source": path.name,
-        "source_sha256": json.dumps({file.name: _sha256(file) for file in _files(path, layout)}),
+        "source_sha256": json.dumps({file.name: sha256_of(file) for file in _files(path, layout)}),
         "format": layout.format,
         "map": layout.model_dump_json(),
         "rows": f"{rows[0]}:{rows[1]}" if rows else "",
         "dropped": str(len(dropped)),
-        f"dropped_{place}s": json.dumps(dropped[:KEPT_LINE_NUMBERS]),
+        f"dropped_{place}s": json.dumps(dropped[:LISTED_LINES]),
     }
 
 
 def _files(path: Path, layout: ImportMap) -> list[Path]:
-    """Every file that was read."""
+    """Return every file that was read."""
     if layout.format == "ros2bag" and path.is_dir():
         return sorted(file for file in path.iterdir() if file.is_file())
     folder = path if path.is_dir() else path.parent
     named = [layout.columns.t.file, *(q.file for q in layout.quantities().values())]
-    found = {folder / name if name else path for name in named}
-    return sorted(file for file in found if file.is_file())
+    read = {folder / name if name else path for name in named}
+    return sorted(file for file in read if file.is_file())
 
 
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+def _write_recording(
+    out: Path,
+    samples: ForeignSamples,
+    segments: IntArray,
+    layout: ImportMap,
+    origin: Mapping[str, str],
+    windows: tuple[Window, ...] = (),
+) -> None:
+    """Write the MCAP file; it appears under its name when it is whole, and not at all otherwise.
+
+    Args:
+        out: The file to write.
+        samples: Good rows in SI units.
+        segments: (N,) number of the window each row belongs to, −1 outside.
+        layout: The map of the import.
+        origin: Where it came from, for the file's metadata.
+        windows: Those of the segments, in order; the load of one that has its own is stored.
+
+    Raises:
+        RecordingError: The file exists already or cannot be written.
+    """
+    unit = "A" if layout.effort_kind == "current" else "N·m"
+    rate = sample_rate(samples.columns["t"])
+    topics = [state_topic(layout.n_joints, rate, clock="file", effort_unit=unit)]
+    if TORQUE_TARGET in samples.columns:
+        topics.append(torque_target_topic(layout.n_joints, rate, clock="file"))
+    metadata: dict[str, Mapping[str, str]] = {
+        ROBOT_METADATA: _robot_metadata(layout),
+        PAYLOAD_METADATA: _payload_metadata(layout.payload),
+        "import": origin,
+    }
+    for number, window in enumerate(windows):
+        if window.payload is not None:
+            metadata[WINDOW_PAYLOAD.format(number)] = _payload_metadata(window.payload)
+    writer = McapWriter(out, topics, metadata=metadata, joint_names=layout.joint_names)
+    try:
+        with writer:
+            for topic in topics:
+                writer.write(topic.name, _rows(topic, samples, segments))
+    except BaseException:
+        writer.partial_path.unlink(missing_ok=True)
+        raise
 
 
-def _dropped_notes(samples: Raw, dropped: list[int]) -> Iterator[str]:
+def _robot_metadata(layout: ImportMap) -> dict[str, str]:
+    """Return the robot and the unit of its efforts; lists as JSON."""
+    gains = layout.drive_gains_nm_a
+    return {
+        "model": layout.robot,
+        "joint_names": json.dumps(layout.joint_names),
+        "effort_kind": layout.effort_kind,
+        "drive_gains": json.dumps(gains) if gains else "",
+        "drive_gains_source": layout.drive_gains_source,
+        "serial": layout.serial,
+    }
+
+
+def _payload_metadata(load: Load) -> dict[str, str]:
+    """Return a load as metadata; every value as JSON text."""
+    return {
+        "mass_kg": repr(load.mass_kg),
+        "com_m": json.dumps(load.com_m),
+        "inertia_kgm2": json.dumps(load.inertia_kgm2),
+    }
+
+
+def _rows(topic: Topic, samples: ForeignSamples, segments: IntArray) -> StructArray:
+    block = topic.blank(len(samples))
+    block["device_time"] = samples.columns["t"]
+    for name, values in (samples.columns | {"segment": segments}).items():
+        if name in (topic.dtype.names or ()):
+            block[name] = values
+    return block
+
+
+def _dropped_notes(samples: ForeignSamples, dropped: list[int]) -> Iterator[str]:
     if dropped:
         yield f"dropped {len(dropped)} of {len(samples)} rows:"
         yield from samples.listing()
@@ -202,7 +296,7 @@ def _window_notes(
 
 
 def _load_notes(layout: ImportMap, windows: tuple[Window, ...]) -> Iterator[str]:
-    """What every row counts as recorded with: a load nobody declared spoils a fit unnoticed."""
+    """Yield the load that the rows count as recorded with: an undeclared one spoils a fit."""
     declared = "payload" in layout.model_fields_set
     own = [(window, window.payload) for window in windows if window.payload is not None]
     for window, load in own:

@@ -1,4 +1,4 @@
-"""ROS 2 bags (sqlite3 or mcap): JointState messages, joints matched by name, never by place."""
+"""ROS 2 bags (sqlite3 or mcap): JointState messages, joints matched by name, never by order."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 
 from hil.core import DataError, FloatArray, IntArray, did_you_mean, look_into, plugins
+from hil.importers.foreign_samples import ForeignSamples
 from hil.importers.import_map import ImportMap
-from hil.importers.raw import Raw
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 METADATA = "metadata.yaml"
 FIELDS = {"q": "position", "qd": "velocity", "effort": "effort"}
 
 
-def read_bag(path: Path, layout: ImportMap) -> Raw:
-    """Read the JointStates of a bag: a folder, a .db3 or an .mcap file.
+def read_bag(path: Path, layout: ImportMap) -> ForeignSamples:
+    """Return the samples of a bag's JointStates: a folder, a .db3 or an .mcap file.
 
     Drivers list the joints in orders of their own (elbow first, alphabetically, is common); the
     map's `joint_names` say which is which.
@@ -51,7 +51,7 @@ def read_bag(path: Path, layout: ImportMap) -> Raw:
     _require_joints(orders, path)
     columns = {name: np.array(rows) for name, rows in samples.items()}
     columns["t"] = np.array(stamps)
-    return Raw(columns, np.arange(1, len(stamps) + 1), "message", problems)
+    return ForeignSamples(columns, np.arange(1, len(stamps) + 1), "message", problems)
 
 
 def _messages(path: Path, topic: str) -> Iterator[tuple[int, Any]]:
@@ -64,16 +64,16 @@ def _messages(path: Path, topic: str) -> Iterator[tuple[int, Any]]:
         with AnyReader(
             [_bag_of(path)], default_typestore=get_typestore(Stores.ROS2_HUMBLE)
         ) as reader:
-            found = [c for c in reader.connections if c.topic == topic]
-            if not found:
+            connections = [c for c in reader.connections if c.topic == topic]
+            if not connections:
                 topics = sorted({c.topic for c in reader.connections})
                 raise DataError(f"{path} has no topic {topic}", hint=did_you_mean(topic, topics))
-            if found[0].msgtype != JOINT_STATE:
+            if connections[0].msgtype != JOINT_STATE:
                 raise DataError(
-                    f"{topic} in {path} holds {found[0].msgtype}, not {JOINT_STATE}",
+                    f"{topic} in {path} holds {connections[0].msgtype}, not {JOINT_STATE}",
                     hint="topic in the map must name one of joint states",
                 )
-            for connection, logged, data in reader.messages(found):
+            for connection, logged, data in reader.messages(connections):
                 yield logged, reader.deserialize(data, connection.msgtype)
     except (AnyReaderError, OSError) as error:
         raise DataError(
@@ -98,7 +98,7 @@ def _bag_of(path: Path) -> Path:
 
 
 def _order(names: tuple[str, ...], wanted: tuple[str, ...]) -> IntArray | str:
-    """Where each wanted joint stands in a message, or which one is missing."""
+    """Return where each wanted joint stands in a message, or which one is missing."""
     missing = [name for name in wanted if name not in names]
     if missing:
         return f"has no joint {missing[0]!r} (it lists {', '.join(names) or 'none'})"
@@ -118,7 +118,7 @@ def _values(
 
 
 def _require_joints(orders: dict[tuple[str, ...], IntArray | str], path: Path) -> None:
-    """Messages of other devices may lack our joints; if all do, the map is wrong."""
+    """Raise if no message has the map's joints; those of other devices may lack them."""
     wrong = [why for why in orders.values() if isinstance(why, str)]
     if len(wrong) == len(orders):
         raise DataError(

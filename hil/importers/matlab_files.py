@@ -1,4 +1,4 @@
-"""MATLAB files: variables and fields of structs, joints along either axis."""
+"""MATLAB files: variables and fields of structs, with the joints along either axis."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from hil.core import DataError, FloatArray, did_you_mean
+from hil.importers.foreign_samples import ForeignSamples
 from hil.importers.import_map import Address, ImportMap
-from hil.importers.raw import Raw
 
 _INDEXED = re.compile(r"(.+)\[(\d+)\]")
 
@@ -19,8 +19,8 @@ class _Missing(DataError):
     """There is no such variable."""
 
 
-def read_mat(path: Path, layout: ImportMap) -> Raw:
-    """Read the variables a map names.
+def read_matlab(path: Path, layout: ImportMap) -> ForeignSamples:
+    """Return the variables that a map names.
 
     A quantity is one variable with a row or column per joint (`rec.q`), or one address per joint
     (`rec.q[1]`: the first row or column, counted from 1).
@@ -55,14 +55,14 @@ def read_mat(path: Path, layout: ImportMap) -> Raw:
             f"{path}: the variables differ in length: {lengths}",
             hint="name variables of one and the same recording",
         )
-    return Raw(columns, np.arange(1, lengths["q"] + 1), "sample")
+    return ForeignSamples(columns, np.arange(1, lengths["q"] + 1), "sample")
 
 
 def _load(path: Path) -> dict[str, Any]:
     from scipy.io import loadmat
 
     try:
-        found: dict[str, Any] = loadmat(path, squeeze_me=True, struct_as_record=False)
+        variables: dict[str, Any] = loadmat(path, squeeze_me=True, struct_as_record=False)
     except NotImplementedError as error:
         raise DataError(
             f"{path} is a MATLAB 7.3 file, which is HDF5",
@@ -73,11 +73,11 @@ def _load(path: Path) -> dict[str, Any]:
             f"cannot read {path} as a MATLAB file: {error}",
             hint="save it with -v7; files of version 7.3 are HDF5, which is not read",
         ) from error
-    return {name: value for name, value in found.items() if not name.startswith("__")}
+    return {name: value for name, value in variables.items() if not name.startswith("__")}
 
 
 def _variable(variables: dict[str, Any], address: str, path: Path) -> FloatArray:
-    """The array at a dotted path through structs."""
+    """Return the array at a dotted path through structs."""
     place: Any = variables
     for step in address.split("."):
         fields = place if isinstance(place, dict) else getattr(place, "__dict__", {})
@@ -120,7 +120,7 @@ def _joint(variables: dict[str, Any], address: str, path: Path) -> FloatArray:
 
 
 def _oriented(values: FloatArray, n: int, address: str) -> FloatArray:
-    """Samples first; a square array is taken as it is."""
+    """Return an array with samples first; a square one as it is."""
     if values.ndim == 1:
         values = values[:, None]
     if values.ndim == 2 and values.shape[1] == n:
