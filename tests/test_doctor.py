@@ -16,7 +16,9 @@ import pytest
 from typer.testing import CliRunner
 
 from hil.cli.app import app
-from hil.doctor import Finding, can, clock, examine, machine, packages, permissions, ports, robots
+from hil.doctor import computer, examine, packages
+from hil.doctor.examination import station_robots
+from hil.doctor.finding import Finding
 from hil_drivers.ur import controller as ur_controller
 
 pytestmark = pytest.mark.quick
@@ -101,7 +103,7 @@ def test_folders_that_cannot_be_written_are_bad_and_nothing_is_made(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("HIL_LEASES", str(tmp_path / "leases"))
     monkeypatch.setenv("HIL_RUNS", str(tmp_path / "file" / "runs"))
-    found = {one.what: one for one in permissions.folders()}
+    found = {one.what: one for one in computer.folders()}
     assert (found["runs"].level, found["leases"].level) == ("bad", "ok")
     assert "can be made" in found["leases"].finding
     assert os.listdir(tmp_path) == ["file"]
@@ -110,57 +112,57 @@ def test_folders_that_cannot_be_written_are_bad_and_nothing_is_made(
 def test_a_serial_adapter_that_may_not_be_opened_is_noted(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    assert list(permissions.serial(tmp_path)) == []
+    assert list(computer.serial_adapters(tmp_path)) == []
     (tmp_path / "ttyUSB0").write_text("")
-    assert level_of(permissions.serial(tmp_path)) == "ok"
+    assert level_of(computer.serial_adapters(tmp_path)) == "ok"
     monkeypatch.setattr(os, "access", lambda *_: False)
-    (told,) = permissions.serial(tmp_path)
+    (told,) = computer.serial_adapters(tmp_path)
     assert "dialout" in told.finding
 
 
 def test_a_taken_port_is_noted_with_what_follows(monkeypatch: pytest.MonkeyPatch) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         number = taken.getsockname()[1]
-        monkeypatch.setattr(ports, "PORTS", {"dashboard": ((number,), "takes another")})
-        (told,) = ports.free()
+        monkeypatch.setattr(computer, "PORTS", {"dashboard": ((number,), "takes another")})
+        (told,) = computer.ports()
         assert told == Finding("ports dashboard", f"{number} in use: takes another", "note")
-    assert level_of(ports.free()) == "ok"
+    assert level_of(computer.ports()) == "ok"
 
 
 @pytest.mark.parametrize(("year", "level"), [(1970, "bad"), (2025, "note"), (2100, "ok")])
 def test_a_date_that_cannot_be_is_told(
     monkeypatch: pytest.MonkeyPatch, year: int, level: str
 ) -> None:
-    monkeypatch.setattr(clock.time, "time", lambda: (year - 1970) * 365.25 * 86400 + 43200)
-    assert level_of(clock.date()) == level
+    monkeypatch.setattr(computer.time, "time", lambda: (year - 1970) * 365.25 * 86400 + 43200)
+    assert level_of(computer.date()) == level
 
 
 def test_a_clock_that_nobody_keeps_is_noted(monkeypatch: pytest.MonkeyPatch) -> None:
     for kept, level in ((True, "ok"), (False, "note"), (None, "note")):
-        monkeypatch.setattr(clock, "_kept", lambda kept=kept: kept)
-        assert level_of(clock.synchronised()) == level
+        monkeypatch.setattr(computer, "_is_synchronised", lambda kept=kept: kept)
+        assert level_of(computer.time_service()) == level
 
 
 def test_more_blas_threads_than_cores_are_noted(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert level_of(machine.blas()) == "ok"
-    monkeypatch.setattr(machine, "cores", lambda: 0)
-    assert "OMP_NUM_THREADS=1" in next(machine.blas()).finding
+    assert level_of(computer.blas_threads()) == "ok"
+    monkeypatch.setattr(computer, "cores", lambda: 0)
+    assert "OMP_NUM_THREADS=1" in next(computer.blas_threads()).finding
 
 
 def test_can_interfaces_of_the_kernel_are_up_or_down(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(can.socket, "AF_CAN", socket.AF_INET, raising=False)
-    monkeypatch.setattr(can.socket, "CAN_RAW", 0, raising=False)
-    monkeypatch.setattr(can.socket, "SOCK_RAW", socket.SOCK_STREAM)
+    monkeypatch.setattr(computer.socket, "AF_CAN", socket.AF_INET, raising=False)
+    monkeypatch.setattr(computer.socket, "CAN_RAW", 0, raising=False)
+    monkeypatch.setattr(computer.socket, "SOCK_RAW", socket.SOCK_STREAM)
     for name, kind, flags in (("can0", 280, "0x40081"), ("eth0", 1, "0x0")):
         (tmp_path / name).mkdir()
         (tmp_path / name / "type").write_text(f"{kind}\n")
         (tmp_path / name / "flags").write_text(f"{flags}\n")
-    (told,) = can.interfaces(tmp_path)
+    (told,) = computer.socketcan(tmp_path)
     assert (told.level, told.finding) == ("ok", "SocketCAN; interfaces: can0")
     (tmp_path / "can0" / "flags").write_text("0x40080\n")
-    (told,) = can.interfaces(tmp_path)
+    (told,) = computer.socketcan(tmp_path)
     assert told.level == "note"
     assert "ip link set can0 up" in told.finding
 
@@ -246,7 +248,7 @@ def test_robots_that_are_not_there_are_bad_and_say_how_to_mend(
 ) -> None:
     monkeypatch.setattr(ur_controller, "PORTS", {9: "dashboard"})
     monkeypatch.setattr(ur_controller, "DASHBOARD_PORT", 9)
-    found = {one.what: one for one in robots.asked(station)}
+    found = {one.what: one for one in station_robots(station)}
     assert found["station"].level == found["mock robots"].level == "ok"
     assert found["mock robots"].finding.startswith("inside:")
     silent = {name: found[name] for name in ("away: ports", "plc: port", "bus: bus")}
@@ -268,7 +270,7 @@ def test_a_controller_that_says_nothing_is_waited_for_no_longer_than_that(
 
 
 def test_a_station_that_is_wrong_is_one_bad_line(tmp_path: Path) -> None:
-    assert level_of(robots.asked(tmp_path / "none.yaml")) == "bad"
+    assert level_of(station_robots(tmp_path / "none.yaml")) == "bad"
 
 
 def test_something_bad_is_exit_code_1_and_one_document(station: Path) -> None:

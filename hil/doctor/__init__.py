@@ -1,4 +1,4 @@
-"""What `hil doctor` looks at on this computer, and at a station's robots; nothing here raises."""
+"""Checks of this computer and of a station's robots, for `hil doctor`; no check raises."""
 
 import lazy_loader
 

@@ -1,2 +1,1 @@
 from .examination import examine as examine
-from .finding import Finding as Finding

@@ -1,25 +1,85 @@
-"""All examinations, one after another."""
+"""The examination of a computer, and of the robots of a station: each is asked, none is moved."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from hil.doctor import can, clock, machine, packages, permissions, ports, robots
+from hil.core import HilError
+from hil.doctor import computer, packages
 from hil.doctor.finding import Finding
+from hil.planning import opened
+from hil.robot import HasReach
+from hil.spec import StationRobot, load_station
 
 CHECKS: tuple[Callable[[], Iterator[Finding]], ...] = (
-    machine.python, machine.blas, packages.core, packages.extras, packages.constraints,
-    packages.torch, packages.plugins_load, machine.disk, permissions.folders, permissions.serial,
-    ports.free, clock.resolution, clock.date, clock.synchronised, machine.real_time, can.interfaces,
+    computer.python, computer.blas_threads,
+    packages.core, packages.extras, packages.constraints, packages.torch, packages.plug_ins,
+    computer.disk_space, computer.folders, computer.serial_adapters, computer.ports,
+    computer.clock_resolution, computer.date, computer.time_service, computer.real_time,
+    computer.socketcan,
 )  # fmt: skip
 
 
 def examine(station: Path | None = None) -> list[Finding]:
-    """Look at everything.
+    """Return the findings of all checks.
 
     Args:
-        station: Also check this station file, and ask whether its robots are there; none is moved.
+        station: Also check this station file, and ask its robots whether they can be reached.
     """
-    found = [finding for check in CHECKS for finding in check()]
-    return found + (list(robots.asked(station)) if station else [])
+    findings = [finding for check in CHECKS for finding in check()]
+    return findings + (list(station_robots(station)) if station else [])
+
+
+AT_ONCE = 8
+"""Robots that are asked at the same time."""
+
+MANY = 8
+"""From so many robots on, those that need no asking are counted instead of named."""
+
+
+def station_robots(path: Path) -> Iterator[Finding]:
+    """Yield whether a station file is valid, and what each of its robots answers.
+
+    Args:
+        path: The station file.
+    """
+    try:
+        station = load_station(path)
+    except (HilError, OSError) as error:
+        yield Finding("station", str(error), "bad")
+        return
+    yield Finding("station", f"{path}: the file is valid")
+    with ThreadPoolExecutor(AT_ONCE) as pool:
+        answers = list(pool.map(_ask, *zip(*station.robots.items(), strict=True)))
+    inside = [name for name, found in zip(station.robots, answers, strict=True) if not found]
+    if inside:
+        shown = ", ".join(inside) if len(inside) < MANY else f"{len(inside)} of them"
+        yield Finding("mock robots", f"{shown}: within hil, nothing to reach")
+    for findings in answers:
+        yield from findings
+
+
+def _ask(name: str, described: StationRobot) -> list[Finding]:
+    """Return what a robot answers; nothing for one that is simulated within this process."""
+    try:
+        # In this process: asking takes a second or two, with a limit of its own.
+        with opened(name, described.model_copy(update={"own_process": False})) as robot:
+            if isinstance(robot, HasReach):
+                return [
+                    Finding(
+                        f"{name}: {one.name}",
+                        one.message if one.passed or not one.hint else f"{one.message}: {one.hint}",
+                        "ok" if one.passed else "bad",
+                    )
+                    for one in robot.reach()
+                ]
+            if robot.capabilities.clock == "virtual":
+                return []
+    except HilError as error:
+        hint = f": {error.hint}" if error.hint else ""
+        return [Finding(f"{name}: driver", f"{error.message}{hint}", "bad")]
+    except Exception as error:  # a driver of another package may raise anything
+        return [Finding(f"{name}: driver", f"{type(error).__name__}: {error}", "bad")]
+    return [Finding(f"{name}: reach", f"the driver {described.driver} cannot be asked", "note")]

@@ -1,4 +1,4 @@
-"""What a look at one thing has found."""
+"""A finding: the result of one check."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that was looked at.
+    """The result of one check.
 
     Attributes:
-        what: The thing.
-        finding: What was found, and how to mend it when bad.
+        what: What was checked.
+        finding: The result, and the remedy when it is not `ok`.
         level: `ok`, `note` or `bad`.
     """
 
@@ -21,14 +21,14 @@ class Finding:
 
     @property
     def bad(self) -> bool:
-        """True when `hil` cannot do its main job."""
+        """Whether `hil` cannot do its main job."""
         return self.level == "bad"
 
     @property
     def mark(self) -> str:
-        """A word, so that nothing depends on colour."""
+        """The level as a word, so that nothing depends on colour."""
         return {"ok": "ok", "note": "note", "bad": "BAD"}[self.level]
 
     def to_dict(self) -> dict[str, str]:
-        """JSON form."""
+        """Return the JSON form."""
         return {"what": self.what, "finding": self.finding, "level": self.level}

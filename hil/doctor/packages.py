@@ -1,4 +1,4 @@
-"""Packages: what is needed, what extras bring, and whether versions fit."""
+"""Checks of the installed packages: what hil and its extras need, and whether versions fit."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ class Need:
     """One package that hil or an extra of it needs.
 
     Attributes:
-        name: Of the distribution.
+        name: Name of the distribution.
         bounds: Such as `>=2.1,<4`.
-        extra: That needs it; empty for hil itself.
-        before: The first Python that it is not for; None for none.
+        extra: The extra that needs it; empty for hil itself.
+        before: The first version of Python that it is not for, if any.
     """
 
     name: str
@@ -43,7 +43,7 @@ class Need:
 
     @property
     def problem(self) -> str:
-        """Why it does not do; empty when it does."""
+        """Why it does not fit; empty if it does."""
         try:
             version = importlib.metadata.version(self.name)
         except importlib.metadata.PackageNotFoundError:
@@ -52,20 +52,20 @@ class Need:
 
 
 def needs() -> list[Need]:
-    """What the installed hil says that it needs."""
-    found = []
+    """Return what the metadata of the installed hil says that it needs."""
+    out = []
     for line in importlib.metadata.requires("hil") or ():
         if not (match := _REQUIREMENT.fullmatch(line.strip())) or match[1].lower() == "hil":
             continue
         marker = match[3] or ""
         extra, before = _EXTRA.search(marker), _PYTHON.search(marker)
         first = (int(before[1]), int(before[2])) if before else None
-        found.append(Need(match[1], match[2].strip(), extra[1] if extra else "", first))
-    return found
+        out.append(Need(match[1], match[2].strip(), extra[1] if extra else "", first))
+    return out
 
 
 def meets(version: str, bounds: str) -> bool:
-    """Whether a version is within bounds; only `>=`, `<` and `==` are asked.
+    """Return whether a version is within bounds; only `>=`, `<` and `==` count.
 
     Args:
         version: Such as `2.13.0+cpu`.
@@ -84,12 +84,12 @@ def meets(version: str, bounds: str) -> bool:
 
 def _numbers(version: str) -> tuple[int, ...]:
     release = re.match(r"\d+(?:\.\d+)*", version.strip())
-    told = tuple(map(int, release[0].split("."))) if release else ()
-    return told + (0,) * (4 - len(told))
+    numbers = tuple(map(int, release[0].split("."))) if release else ()
+    return numbers + (0,) * (4 - len(numbers))
 
 
 def core() -> Iterator[Finding]:
-    """What hil itself needs."""
+    """Yield whether the packages are there that hil itself needs."""
     wanted = [need for need in needs() if not need.extra]
     problems = [need.problem for need in wanted if need.problem]
     if problems:
@@ -99,7 +99,7 @@ def core() -> Iterator[Finding]:
 
 
 def extras() -> Iterator[Finding]:
-    """What each extra brings; a missing one is none that everybody needs."""
+    """Yield for each extra whether its packages are there; a missing one is a note."""
     wanted = needs()
     for extra in dict.fromkeys(need.extra for need in wanted if need.extra):
         if extra in NOT_FOR_USERS:
@@ -119,7 +119,7 @@ def extras() -> Iterator[Finding]:
 
 
 def constraints(file: Path = CONSTRAINTS) -> Iterator[Finding]:
-    """In a checkout: whether versions are those that hil was tested with.
+    """Yield whether versions are those that hil was tested with; nothing outside a checkout.
 
     Args:
         file: With a line such as `numpy==2.4.6` per package.
@@ -142,11 +142,11 @@ def constraints(file: Path = CONSTRAINTS) -> Iterator[Finding]:
 
 
 def torch() -> Iterator[Finding]:
-    """Which torch there is, and what networks are trained on by `device: auto`."""
+    """Yield the version of torch, and what networks are trained on by `device: auto`."""
     try:
         version = importlib.metadata.version("torch")
     except importlib.metadata.PackageNotFoundError:
-        return  # the extra `learn` is missing, which has been told
+        return  # `extras` has said that the extra `learn` is missing
     if version.endswith("+cpu"):
         yield Finding("torch", f"{version}: networks are trained on the CPU")
         return
@@ -160,8 +160,8 @@ def torch() -> Iterator[Finding]:
     yield Finding("torch", f"{version}: networks are trained on {names[0] if names else 'the CPU'}")
 
 
-def plugins_load() -> Iterator[Finding]:
-    """Plug-ins that are broken."""
+def plug_ins() -> Iterator[Finding]:
+    """Yield the plug-ins that are broken."""
     broken = [row for row in plugins.describe_all() if row.error]
     for row in broken:
         yield Finding(f"plug-in {row.name}", row.error, "note")
