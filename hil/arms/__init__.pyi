@@ -5,8 +5,8 @@ from .description import arm_names as arm_names
 from .description import is_described as is_described
 from .description import is_description as is_description
 from .description import load_arm as load_arm
-from .own_file import model_sha256 as model_sha256
-from .own_file import require_same_arm as require_same_arm
+from .description import model_sha256 as model_sha256
+from .description import require_same_arm as require_same_arm
 from .payload import AnyPayload as AnyPayload
 from .payload import Payload as Payload
 from .payload import parse_payload as parse_payload

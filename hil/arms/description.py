@@ -1,7 +1,14 @@
-"""Load an arm's published description from `hil/arms/<name>.yaml`."""
+"""Descriptions of arms, and whether the file of a custom arm still says what it said.
+
+A built-in arm is described in `hil/arms/<name>.yaml`, a custom arm in a file of the same form or in
+a URDF. Runs and models store a digest of a custom arm's file (`model_sha256`), so that they are not
+used with another arm later (`require_same_arm`).
+"""
 
 from __future__ import annotations
 
+import json
+import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cache
@@ -12,8 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.arms.content import description_sha256
-from hil.core import FloatArray, SpecError
+from hil.core import DataError, FloatArray, SpecError
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +42,7 @@ class Capsule:
 class ArmDescription:
     """An arm as its maker publishes it, in SI units and standard (distal) DH convention.
 
-    `load_arm` gives everybody the same one, so its arrays cannot be written.
+    `load_arm` returns the same object to all callers, so its arrays are read-only.
 
     Attributes:
         name: Key of the arm, e.g. `ur5`, or the path of its description.
@@ -55,13 +61,13 @@ class ArmDescription:
         payload_max_kg: Rated payload [kg].
         capsules: Collision bodies, base and links.
         sources: Where each number comes from, by topic.
-        link_names: (n + 1,) what people call the base and the links, for messages.
+        link_names: (n + 1,) names of the base and the links, for messages.
         joints_per_motor: (n, n) joint angles per angle of the motors behind their gears; not the
             unit matrix where a motor also moves a neighbour of its joint.
-        guessed: What of it nobody knows: such numbers are good enough for a mock alone.
-        sha256: Of what an arm of one's own is described as (`hil.arms.content`); empty for a
+        guessed: Which of these are unknown: guessed numbers are good enough for a mock only.
+        sha256: Digest of the description of a custom arm (`description_sha256`); empty for a
             built-in arm.
-        file_sha256: Of the bytes of that file.
+        file_sha256: Digest of the bytes of that file.
     """
 
     name: str
@@ -96,23 +102,23 @@ class ArmDescription:
 
 
 def arm_names() -> tuple[str, ...]:
-    """Names of the built-in arms."""
+    """Return the names of the built-in arms."""
     folder = files("hil.arms")
     return tuple(sorted(f.name[:-5] for f in folder.iterdir() if f.name.endswith(".yaml")))
 
 
 def is_description(model: str) -> bool:
-    """Whether a robot's `model` is the path of a description, in place of a built-in arm's name."""
+    """Return whether a robot's `model` is the path of a description, not a built-in arm's name."""
     return model.casefold().endswith((".yaml", ".yml"))
 
 
 def is_described(model: str) -> bool:
-    """Whether an arm is built in, or described in a file of one's own: with collision bodies."""
+    """Return whether an arm is built in or described in a file: both have collision bodies."""
     return model in arm_names() or is_description(model)
 
 
 def load_arm(name: str) -> ArmDescription:
-    """The built-in arm called `name`, or the one that a file describes; parsed once per process.
+    """Return the built-in arm `name`, or the one that a file describes; parsed once per process.
 
     Raises:
         SpecError: There is no such arm, or its description cannot be used.
@@ -141,7 +147,7 @@ def _parsed(name: str) -> ArmDescription:
 
 
 def _of_file(path: Path) -> ArmDescription:
-    """An arm that a file describes as those beside this module are."""
+    """Return the arm of a file of the same form as those beside this module."""
     from hil.core import look_into
 
     hint = "`hil new own-urdf` writes one from a URDF; hil/arms/ur5.yaml is one, too"
@@ -160,7 +166,7 @@ def _of_file(path: Path) -> ArmDescription:
 
 
 def arm_from_dict(name: str, raw: dict[str, Any]) -> ArmDescription:
-    """An arm from the content of its file.
+    """Return an arm from the content of its file.
 
     Raises:
         KeyError, TypeError, ValueError, AttributeError: It describes none.
@@ -213,3 +219,108 @@ def _words(raw: Any) -> tuple[str, ...]:
 def _symmetric(values: list[float]) -> FloatArray:
     xx, yy, zz, xy, xz, yz = values
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], dtype=np.float64)
+
+
+# The file of a custom arm: has its content changed?
+
+
+def model_sha256(model: str) -> str:
+    """Return the SHA-256 of the content of a custom arm's file, as this process has read it.
+
+    Returns:
+        Hexadecimal; empty for a built-in arm.
+
+    Raises:
+        SpecError: The file cannot be used.
+    """
+    return _digests(model)[0]
+
+
+def _digests(model: str) -> tuple[str, str]:
+    """Return the digests of the file's content and of its bytes, which old runs and models have."""
+    if model in arm_names():
+        return "", ""
+    if is_description(model):
+        arm = load_arm(model)
+        return arm.sha256, arm.file_sha256
+    try:
+        content = Path(model).read_bytes()
+        return urdf_sha256(content), sha256(content).hexdigest()
+    except OSError as error:
+        raise SpecError(
+            f"{model}: cannot be read: {error.strerror}", hint="see whether it exists"
+        ) from None
+
+
+def require_same_arm(
+    robot: Mapping[str, Any], source: Path, otherwise: str, *, gone: bool = False
+) -> None:
+    """Raise if the file of an arm has changed since a run or model was made with it.
+
+    Args:
+        robot: The robot in a run's start document, or the arm in a model's; one without a digest
+            passes.
+        source: The run or model, for the message.
+        otherwise: What else the user can do.
+        gone: A file that cannot be read passes as well: it cannot be mistaken for the arm.
+
+    Raises:
+        DataError: The file is gone, or its content has changed.
+    """
+    recorded, model = robot.get("model_sha256"), str(robot.get("model", ""))
+    if not recorded:
+        return
+    try:
+        digests = _digests(model)
+    except SpecError as error:
+        if gone:
+            return
+        raise DataError(error.message, hint=f"put {model} back, or {otherwise}") from None
+    if recorded not in digests:
+        raise DataError(
+            f"{model} describes another arm than when {source} was made: its SHA-256 is now "
+            f"{digests[0][:12]}…, and was {str(recorded)[:12]}…",
+            hint=f"put the original file back, or {otherwise}",
+        )
+
+
+_REMARKS = ("guessed", "sources")
+"""Keys of a description that say how its numbers are known."""
+
+_LOOKS = ("visual", "collision", "material", "gazebo", "transmission")
+"""Elements of a URDF that no model is made of."""
+
+
+def description_sha256(document: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of a description, as its YAML was read.
+
+    Everything counts but `guessed` and `sources`. Comments, the order of keys and how numbers are
+    written do not.
+    """
+    said = {key: value for key, value in document.items() if key not in _REMARKS}
+    text = json.dumps(_with_floats(said), sort_keys=True, ensure_ascii=False, separators=(",", ":"))
+    return sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
+
+
+def urdf_sha256(content: bytes) -> str:
+    """Return the SHA-256 of a URDF: of its joints and inertias as canonical XML, without looks.
+
+    Of the bytes where they are no XML.
+    """
+    try:
+        root = ET.fromstring(content)  # noqa: S314  a file of the user's own lab
+    except (ET.ParseError, ValueError):
+        return sha256(content).hexdigest()
+    text = ET.canonicalize(ET.tostring(root, "unicode"), strip_text=True, exclude_tags=_LOOKS)
+    return sha256(text.encode()).hexdigest()
+
+
+def _with_floats(value: Any) -> Any:
+    """Return the value with every number as a float: 250 is 250.0."""
+    if isinstance(value, Mapping):
+        return {str(key): _with_floats(one) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_with_floats(one) for one in value]
+    if isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    return value if isinstance(value, str | float | bool | None) else str(value)
