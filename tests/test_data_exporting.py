@@ -19,7 +19,7 @@ from hil.arms.payload import Payload
 from hil.cli.app import app
 from hil.core.errors import DataError, HilError, PluginError, RecordingError
 from hil.data.dataset import Dataset
-from hil.importers import import_recording
+from hil.importers import import_recording, load_map
 from hil.importers.sample_export import export_data
 from hil.importers.sources import load_source
 from hil.planning.plan import LoadStep
@@ -140,6 +140,14 @@ def test_loads_come_back_window_by_window(tmp_path: Path) -> None:
     import_recording(tmp_path / "a.csv", map_file=tmp_path / "a.map.yaml", out=tmp_path / "b.mcap")
     (condition,) = load_source(tmp_path / "b.mcap").conditions
     assert condition.payload == load
+
+
+def test_a_serial_number_that_looks_like_a_number_is_text_in_the_map(tmp_path: Path) -> None:
+    robot = robot_facts() | {"identity": {"serial": "12e4"}, "gravity_m_s2": [0.0, 0.0, -9.81]}
+    run = write_run(tmp_path / "runs", fourier_plan(trajectories=1), robot=robot).path
+    export_data(run, tmp_path / "a.csv")
+
+    assert load_map(tmp_path / "a.map.yaml").serial == "12e4"
 
 
 def test_of_dwells_there_is_no_map_and_it_is_told_why(tmp_path: Path) -> None:

@@ -12,9 +12,8 @@ import yaml
 from hil.arms import load_arm
 from hil.cli import candidates
 from hil.core.errors import SpecError
-from hil.core.yaml import DEEPEST_LOOK, look_into
+from hil.core.yaml import DEEPEST_LOOK, as_scalar, look_into
 from hil.maintenance.fleet_specs import spec_for
-from hil.spec.draft import as_scalar
 from hil_mock_robot.ur.faults import UrFault
 
 LINKED = "- &a0 [x]\n" + "".join(f"- &a{i} [*a{i - 1}]\n" for i in range(1, 200))

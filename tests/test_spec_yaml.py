@@ -24,6 +24,7 @@ from hil.core.yaml import (
     read_source,
     scalar,
     with_value,
+    yaml_text,
 )
 
 pytestmark = pytest.mark.quick
@@ -158,6 +159,18 @@ def test_both_readers_agree_about_documents_that_are_quoted(document: Any) -> No
     text = yaml.safe_dump(document, default_style='"')
 
     assert repr(parse(text, "f").data) == repr(look_into(text))
+
+
+ANY_TEXT = st.text(st.characters(exclude_categories=["Cs"]), max_size=12)
+ODD_TEXT = st.sampled_from(["12e4", "0o17", "1_0", "12:30", "yes", "~", "", "2026-11-21", "a: b"])
+
+
+@examples(100)
+@given(st.dictionaries(TEXTS, st.lists(ANY_TEXT | ODD_TEXT, max_size=4), max_size=4))
+def test_text_that_is_written_is_text_to_both_readers(document: dict[str, list[str]]) -> None:
+    text = yaml_text(document)
+
+    assert parse(text, "f").data == look_into(text) == document
 
 
 def test_keys_such_as_on_and_y_are_text() -> None:

@@ -105,12 +105,15 @@ from .yaml import KeyPath as KeyPath
 from .yaml import Mark as Mark
 from .yaml import Problem as Problem
 from .yaml import Source as Source
+from .yaml import as_scalar as as_scalar
 from .yaml import dotted as dotted
 from .yaml import is_number as is_number
 from .yaml import look_into as look_into
 from .yaml import parse as parse
 from .yaml import parse_parameters as parse_parameters
+from .yaml import quoted_scalar as quoted_scalar
 from .yaml import read_source as read_source
 from .yaml import refuse as refuse
 from .yaml import scalar as scalar
 from .yaml import with_value as with_value
+from .yaml import yaml_text as yaml_text

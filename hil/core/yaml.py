@@ -1,6 +1,6 @@
-"""YAML as plain data: where everything stood in a file, and what is wrong with it.
+"""YAML as plain data: where everything stood in a file, what is wrong with it, and writing it.
 
-Two readers stand on PyYAML's events, nodes and marks:
+No other module reads or writes YAML. Two readers stand on PyYAML's events, nodes and marks:
 
 ===========================  ==================================  =================================
 reader                       for                                 values and mistakes
@@ -19,6 +19,8 @@ keys and several documents.
 Both readers have a limit on depth and size (`_Extent`). It counts events with aliases followed,
 before anything is built of them, because aliases make much of little ("billion laughs"): 600 bytes
 stand for 10⁹ values. A refusal costs no more than reading that far.
+
+What is written (`yaml_text`, `as_scalar`, `quoted_scalar`) means the same in every version of YAML.
 """
 
 from __future__ import annotations
@@ -115,11 +117,16 @@ class Source:
         """Note a problem with the value (or the key) at `path`."""
         self.problems.append(Problem(self.mark(path, key=key), path, message))
 
-    def forget(self, path: KeyPath) -> None:
-        """Drop the places of everything at and below `path`, because it is being replaced."""
+    def replaced(self, path: KeyPath, name: str) -> None:
+        """Note that the value at `path` was replaced by one from `name`, such as `--set 1`.
+
+        Nothing in the new value has a place of its own, nor have mappings that were made for it.
+        """
         for places in (self.keys, self.values):
             for below in [p for p in places if p[: len(path)] == path]:
                 del places[below]
+            for n in range(1, len(path) + 1):
+                places.setdefault(path[:n], Mark(name, 0, 0))
 
 
 def refuse(problems: list[Problem], hint: str = "", more: int = 0) -> SpecError:
@@ -277,6 +284,57 @@ def with_value(text: str, key: str, value: str) -> str | None:
         if key_node.value == key and isinstance(node, yaml.ScalarNode):
             return text[: node.start_mark.index] + value + text[node.end_mark.index :]
     return None
+
+
+def yaml_text(data: Any, *, width: int = 80) -> str:
+    """Return plain data as a YAML document; innermost lists and mappings take one line.
+
+    Args:
+        data: dicts, lists, strings, numbers, booleans and None.
+        width: Characters of a line.
+    """
+    text: str = yaml.dump(
+        data,
+        Dumper=_PlainDumper,
+        sort_keys=False,
+        allow_unicode=True,
+        default_flow_style=None,
+        width=width,
+    )
+    return text
+
+
+class _PlainDumper(yaml.SafeDumper):
+    """Quotes every text that any version of YAML may take for something else."""
+
+
+_WORDS = re.compile(r"[A-Za-z][A-Za-z_-]+[0-9]*")
+_CONSTANTS = ("null", "true", "false", "yes", "no", "on", "off")
+
+
+def _represented(dumper: yaml.SafeDumper, value: str) -> yaml.ScalarNode:
+    plain = _WORDS.fullmatch(value) and value.casefold() not in _CONSTANTS
+    return dumper.represent_scalar("tag:yaml.org,2002:str", value, style=None if plain else '"')
+
+
+_PlainDumper.add_representer(str, _represented)
+
+
+def as_scalar(text: str) -> str:
+    """Return a text as YAML on one line: without quotes where every reader takes it for text."""
+    try:
+        line = {"k": text}
+        if look_into(f"k: {text}") == line == parse(f"k: {text}", "").data:
+            return text
+    except (ValueError, SpecError):
+        pass
+    return quoted_scalar(text)
+
+
+def quoted_scalar(text: str) -> str:
+    """Return a text as YAML on one line in double quotes."""
+    line: str = yaml.safe_dump(text, default_style='"', width=float("inf"), allow_unicode=True)
+    return line.rstrip("\n")
 
 
 def _quick_loader() -> Any:

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from hil.arms import Payload
@@ -33,6 +32,7 @@ from hil.core import (
     read_json,
     sha256_of,
     write_once,
+    yaml_text,
 )
 from hil.data import UPRIGHT, Dataset
 from hil.importers.import_map import QUANTITIES
@@ -319,7 +319,7 @@ def _import_map(dataset: Dataset, table: _Table) -> str:
     if dataset.drive_gains is not None:
         document["drive_gains_nm_a"] = dataset.drive_gains.tolist()
         document["drive_gains_source"] = dataset.drive_gains_source
-    return yaml.safe_dump(document, sort_keys=False, allow_unicode=True, width=120)
+    return yaml_text(document, width=120)
 
 
 def _quantities(dataset: Dataset, table: _Table) -> dict[str, Any]:

@@ -11,12 +11,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import yaml
 
 from hil.arms import ArmDescription, arm_from_dict
-from hil.core import BoolArray, FloatArray, SpecError, shown
+from hil.core import BoolArray, FloatArray, SpecError, look_into, quoted_scalar, shown
 from hil.dynamics import CollisionModel, Described, Environment, described
-from hil.spec import Draft, quoted, render
+from hil.spec import Draft, render
 
 MOCKED_JOINTS = 6
 """The mock has drives for so many."""
@@ -46,7 +45,7 @@ def own_arm_drafts(
     found, odd = without_odd_speeds(found)
     station, arm = (spec.with_name(f"{spec.stem}-{part}.yaml") for part in ("station", "arm"))
     text = arm_text(urdf.name, found)
-    start = _start(urdf, arm_from_dict(robot, yaml.safe_load(text)))
+    start = _start(urdf, arm_from_dict(robot, look_into(text)))
     words = {
         "robot": robot, "name": name, "arm": arm.name, "urdf": urdf.name,
         "start": ", ".join(f"{angle:.0f}" for angle in np.degrees(start)),
@@ -96,7 +95,7 @@ def _notes(found: Described, arm: Path, station: Path) -> list[str]:
 
 def can_be_mocked(drafts: list[Draft]) -> bool:
     """Whether the mock has drives for the arm that `own_arm_drafts` described."""
-    return len(yaml.safe_load(drafts[-1].text)["joints"]) == MOCKED_JOINTS
+    return len(look_into(drafts[-1].text)["joints"]) == MOCKED_JOINTS
 
 
 MOST_RAD = 4 * np.pi
@@ -198,7 +197,7 @@ def arm_text(urdf: str, found: Described) -> str:
     return (
         _HEAD.format(
             urdf=shown(urdf),
-            source=quoted(f"{urdf}, but for lines marked GUESS"),
+            source=quoted_scalar(f"{urdf}, but for lines marked GUESS"),
             guessed=", ".join(_guessed(found)),
         )
         + f"joints:\n{joints}\nlinks:\n{links}\n{_bodies(found)}"
@@ -225,7 +224,7 @@ def _joint(found: Described, j: int) -> str:
     silent = found.effort_max[j] == 0 or found.qd_max[j] == 0 or not np.isfinite(found.q_min[j])
     told = "  # GUESS what the URDF leaves out" if silent else ""
     return (
-        f"  - {{name: {quoted(found.joint_names[j])}, {_row(dh)},\n"
+        f"  - {{name: {quoted_scalar(found.joint_names[j])}, {_row(dh)},\n"
         f"     {_row(said)},{told}\n"
         f"     {_row(excited)},  # GUESS\n"
         f"     {_row(drive)}}}  # GUESS"
@@ -260,7 +259,7 @@ def _link(found: Described, j: int) -> str:
     body = found.inertia[j]
     six = np.array([body[0, 0], body[1, 1], body[2, 2], body[0, 1], body[0, 2], body[1, 2]])
     return (
-        f"  - {{name: {quoted(found.link_names[j])}, mass_kg: {_number(found.mass[j])}, "
+        f"  - {{name: {quoted_scalar(found.link_names[j])}, mass_kg: {_number(found.mass[j])}, "
         f"com_m: {_numbers(found.com[j])},\n     inertia_kgm2: {_numbers(six)}}}"
     )
 

@@ -12,7 +12,6 @@ from .documentation import station_schema as station_schema
 from .draft import DRAFT_KINDS as DRAFT_KINDS
 from .draft import Draft as Draft
 from .draft import drafts as drafts
-from .draft import quoted as quoted
 from .draft import render as render
 from .draft import require_valid as require_valid
 from .draft import schemas_beside as schemas_beside

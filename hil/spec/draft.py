@@ -7,9 +7,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 
-import yaml
-
-from hil.core import SpecError, look_into, parse, shown
+from hil.core import as_scalar, parse, shown
 from hil.spec.documentation import commented, schema_files
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.field_types import Strict
@@ -100,23 +98,6 @@ _MODELS: dict[str, tuple[str, type[Strict]]] = {
 def _kinds_of(text: str) -> list[tuple[str, type[Strict]]]:
     """Name of the schema and model of a file by the key it begins with; of an arm none."""
     return [kind for key, kind in _MODELS.items() if f"\n{key}: 1\n" in text]
-
-
-def as_scalar(text: str) -> str:
-    """A text as YAML of one line: plain where every reader takes it for that text, else quoted."""
-    try:
-        line = {"k": text}
-        if look_into(f"k: {text}") == line == parse(f"k: {text}", "").data:
-            return text
-    except (ValueError, SpecError):
-        pass
-    return quoted(text)
-
-
-def quoted(text: str) -> str:
-    """A text as YAML of one line in double quotes."""
-    made: str = yaml.safe_dump(text, default_style='"', width=float("inf"), allow_unicode=True)
-    return made.rstrip("\n")
 
 
 def require_valid(drafts: list[Draft]) -> None:

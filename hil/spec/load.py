@@ -15,7 +15,6 @@ from copy import deepcopy
 from pathlib import Path as FilePath
 from typing import Any, TypeVar
 
-import yaml
 from pydantic import ValidationError
 
 from hil.arms import arm_names
@@ -23,7 +22,6 @@ from hil.core import (
     MOST_PROBLEMS,
     HilError,
     KeyPath,
-    Mark,
     PluginError,
     Problem,
     Source,
@@ -37,6 +35,7 @@ from hil.core import (
     read_source,
     refuse,
     shown,
+    yaml_text,
 )
 from hil.spec.errors import explain, findings_of
 from hil.spec.experiment import Dwell, ExperimentSpec
@@ -299,7 +298,7 @@ def lay_over(source: Source, overrides: Mapping[str, str]) -> None:
         if why := "a step of it is empty" if "" in path else _set(source.data, path, value.data):
             message = f"{told}: there is no such place in {source.name}: {why}"
             raise SpecError(message, hint="a path is dotted, such as loads.0.mass_kg")
-        _move_marks(source, path, name)
+        source.replaced(path, name)
 
 
 def _require_apart(dotted_keys: list[str]) -> None:
@@ -369,14 +368,6 @@ def _in_the_way(data: Any, step: str | int) -> str:
     return f"{shown(step)} would be below {shown(data)}"
 
 
-def _move_marks(source: Source, path: KeyPath, name: str) -> None:
-    source.forget(path)
-    # Nothing in a value has a place of its own, nor have mappings made on the way.
-    for n in range(1, len(path) + 1):
-        source.keys.setdefault(path[:n], Mark(name, 0, 0))
-        source.values.setdefault(path[:n], Mark(name, 0, 0))
-
-
 def resolved_text(path: FilePath, overrides: Mapping[str, str]) -> str:
     """A file as it is with its overrides: YAML without its comments, but with a word of those.
 
@@ -388,14 +379,7 @@ def resolved_text(path: FilePath, overrides: Mapping[str, str]) -> str:
     said = "".join(
         f"#   --set {shown(key, 300)}={shown(text, 300)}\n" for key, text in overrides.items()
     )
-    body = yaml.dump(
-        source.data, Dumper=_Plain, sort_keys=False, allow_unicode=True, default_flow_style=None
-    )
-    return f"# {path.name}, with\n{said}{body}"
-
-
-class _Plain(yaml.SafeDumper):
-    """Quotes every text that any version of YAML may take for something else."""
+    return f"# {path.name}, with\n{said}{yaml_text(source.data)}"
 
 
 def check_estimators(source: Source) -> None:
@@ -600,15 +584,3 @@ def is_file(path: FilePath) -> bool:
         return path.is_file()
     except (OSError, ValueError):
         return False
-
-
-_WORDS = re.compile(r"[A-Za-z][A-Za-z_-]+[0-9]*")
-_CONSTANTS = ("null", "true", "false", "yes", "no", "on", "off")
-
-
-def _text(dumper: yaml.SafeDumper, value: str) -> yaml.ScalarNode:
-    plain = _WORDS.fullmatch(value) and value.casefold() not in _CONSTANTS
-    return dumper.represent_scalar("tag:yaml.org,2002:str", value, style=None if plain else '"')
-
-
-_Plain.add_representer(str, _text)

@@ -15,10 +15,9 @@ from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
-import yaml
 
 from hil.arms import ArmDescription, load_arm
-from hil.core import DataError, FloatArray, SpecError, write_replacing
+from hil.core import DataError, FloatArray, SpecError, look_into, write_replacing
 
 Profile = Literal["ideal", "full"]
 SCHEMA = 1
@@ -249,7 +248,7 @@ def published(arm: str) -> ArmDescription:
 def ranges() -> dict[str, Any]:
     """The frozen parameter ranges."""
     text = files("hil_mock_robot").joinpath("ranges.yaml").read_text("utf-8")
-    parsed: dict[str, Any] = yaml.safe_load(text)
+    parsed: dict[str, Any] = look_into(text)
     return parsed
 
 
