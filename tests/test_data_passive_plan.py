@@ -14,7 +14,6 @@ from hil.importers.passive_plan import (
     MOST_HELD_BACK,
     DetectedSteps,
     Segmenter,
-    passive_plan_document,
 )
 from hil.importers.sources import dwell_rule_of, steps_of_plan
 from hil.robot.state import state_dtype
@@ -136,13 +135,12 @@ def test_unknown_velocity_is_motion():
 
 def test_the_passive_plan_says_what_steps_of_a_plan_say():
     robot = {"model": "ur5", "joint_names": ["a"] * 6, "rate_hz": 125.0}
-    steps = steps_of(found(motion(), []))
-    plan = passive_plan_document(
-        steps, name="p", robot=robot, payload=Payload(1.5, (0.0, 0.0, 0.1))
-    )
+    steps = DetectedSteps()
+    steps.add(found(motion(), []))
+    plan = steps.document(name="p", robot=robot, payload=Payload(1.5, (0.0, 0.0, 0.1)))
     assert "hil_plan" not in plan
     assert plan["loads"][0]["mass_kg"] == 1.5
     notes = steps_of_plan(plan, "plan", (), ("dwell", "move"))
-    assert len(notes) == len(steps)
+    assert len(notes) == len(steps.steps())
     assert dwell_rule_of(plan, "plan").samples == 10
     assert (notes[3].kind, notes[3].pose, notes[3].payload.mass) == ("dwell", 1, 1.5)

@@ -9,7 +9,6 @@ from .import_map import map_schema as map_schema
 from .passive_plan import PASSIVE_PLAN_FILE as PASSIVE_PLAN_FILE
 from .passive_plan import DetectedSteps as DetectedSteps
 from .passive_plan import Segmenter as Segmenter
-from .passive_plan import passive_plan_document as passive_plan_document
 from .sample_export import export_data as export_data
 from .series import recorded_rows as recorded_rows
 from .sources import Attempt as Attempt

@@ -2,8 +2,8 @@
 
 A robot that another program moves is recorded without a plan. `Segmenter` numbers its rows before
 they are written, so that the recording has the segments that a plan would give it: even ones move,
-odd ones are dwells. `DetectedSteps` sums the segments up as the steps of a plan, and
-`passive_plan_document` is what the run directory then holds in place of `plan.json`.
+odd ones are dwells. `DetectedSteps` sums the segments up as the steps of a plan; its document takes
+the place of `plan.json` in the run directory.
 
 Where the rows of a whole recording are at hand, `hil.data.dwells_of` detects dwells instead. Both
 use the same rule, `hil.data.RestRule`.
@@ -178,6 +178,37 @@ class DetectedSteps:
         kinds = Counter(step["kind"] for step in self.steps() if step["index"] in self._segments)
         return dict(sorted(kinds.items()))
 
+    def document(self, *, name: str, robot: Mapping[str, Any], payload: Payload) -> dict[str, Any]:
+        """Return the steps as a plan document, but without motions.
+
+        Args:
+            name: Of the recording.
+            robot: As in its start document.
+            payload: The mounted load.
+        """
+        rule = DwellRule(settle_rad_s=RestRule().speed)
+        return {
+            "hil_found": PASSIVE_PLAN_FORMAT,
+            "name": name,
+            "robot_model": robot["model"],
+            "joint_names": list(robot["joint_names"]),
+            "rate_hz": robot["rate_hz"],
+            "dwell": {
+                "dwell_s": rule.dwell_s,
+                "samples": rule.samples,
+                "settle_rad_s": rule.settle_rad_s,
+                "timeout_s": rule.timeout_s,
+            },
+            "loads": [
+                {
+                    "mass_kg": payload.mass,
+                    "com_m": list(payload.com),
+                    "inertia_kgm2": list(payload.inertia),
+                }
+            ],
+            "steps": self.steps(),
+        }
+
     def _approach(self, index: int) -> int:
         """Return +1 or −1 if every joint came from below or above to a dwell, else 0."""
         before = self._segments.get(index - 2)
@@ -200,38 +231,3 @@ def _pose_number(q: FloatArray, poses: list[FloatArray]) -> int:
             return number
     poses.append(q)
     return len(poses) - 1
-
-
-def passive_plan_document(
-    steps: list[dict[str, Any]], *, name: str, robot: Mapping[str, Any], payload: Payload
-) -> dict[str, Any]:
-    """Return the detected steps in the form of a plan document, but without motions.
-
-    Args:
-        steps: `DetectedSteps.steps`.
-        name: Of the recording.
-        robot: As in its start document.
-        payload: The mounted load.
-    """
-    rule = DwellRule(settle_rad_s=RestRule().speed)
-    return {
-        "hil_found": PASSIVE_PLAN_FORMAT,
-        "name": name,
-        "robot_model": robot["model"],
-        "joint_names": list(robot["joint_names"]),
-        "rate_hz": robot["rate_hz"],
-        "dwell": {
-            "dwell_s": rule.dwell_s,
-            "samples": rule.samples,
-            "settle_rad_s": rule.settle_rad_s,
-            "timeout_s": rule.timeout_s,
-        },
-        "loads": [
-            {
-                "mass_kg": payload.mass,
-                "com_m": list(payload.com),
-                "inertia_kgm2": list(payload.inertia),
-            }
-        ],
-        "steps": steps,
-    }

@@ -24,7 +24,7 @@ from hil.arms import Payload, require_same_arm
 from hil.core import AnyPath, DataError, FloatArray, StructArray, read_json, shown, sources_of
 from hil.data import AT_REST, SAMPLES_PER_DWELL, UPRIGHT, Dataset, SeriesKind
 from hil.importers.completeness import dwell_is_over
-from hil.importers.passive_plan import PASSIVE_PLAN_FILE, DetectedSteps, passive_plan_document
+from hil.importers.passive_plan import PASSIVE_PLAN_FILE, DetectedSteps
 from hil.importers.series import (
     TORQUE_TARGET,
     Origin,
@@ -292,8 +292,7 @@ def _plan_of(run: RunDirectory) -> tuple[dict[str, Any], Path]:
     with reading(run.path / "start.json"):
         payload = payload_of(start["loads"][0])
         name, robot = str(start["experiment"]), robot_of_run(start)
-        steps = detected.steps()
-        return passive_plan_document(steps, name=name, robot=robot, payload=payload), file
+        return detected.document(name=name, robot=robot, payload=payload), file
 
 
 def _unsettled(run: RunDirectory) -> set[int]:

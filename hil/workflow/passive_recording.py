@@ -25,7 +25,7 @@ from hil.core import (
 from hil.dynamics import load_model
 from hil.engine import SignalWatch
 from hil.estimators import StaticWls
-from hil.importers import PASSIVE_PLAN_FILE, DetectedSteps, Segmenter, passive_plan_document
+from hil.importers import PASSIVE_PLAN_FILE, DetectedSteps, Segmenter
 from hil.planning import BUILT_IN, close_robot, find_station, open_robot
 from hil.recording import Attachment, McapWriter, Recorder, RunDirectory, collect_provenance
 from hil.robot import STATE_TOPIC, HasTopics, Listens, Robot, Status, state_topic
@@ -259,8 +259,8 @@ class ListeningRun:
                     self._put(sink, held)
             problems = sink.close()
         error = error or (problems[0] if problems else None)
-        steps, found = self._steps.steps(), self._steps.counts()
-        self._write_plan(steps)
+        found = self._steps.counts()
+        self._write_plan()
         counts = counts_of(recorder.counts[STATE_TOPIC]) if recorder else {}
         device_s = self._last - self._first if math.isfinite(self._last) else 0.0
         notes = (
@@ -270,7 +270,7 @@ class ListeningRun:
         )
         document = {
             **counts,
-            "steps_done": len(steps),
+            "steps_done": len(self._steps.steps()),
             "unsettled": [],
             "complete": {kind: {"done": n, "of": n} for kind, n in found.items()},
             "device_s": device_s,
@@ -280,9 +280,8 @@ class ListeningRun:
         self._directory.write_stop("failed" if error else "completed", reason, document)
         return Listened(self._directory.path, reason, counts, device_s, found, notes, error)
 
-    def _write_plan(self, steps: list[dict[str, Any]]) -> None:
-        plan = passive_plan_document(
-            steps,
+    def _write_plan(self) -> None:
+        plan = self._steps.document(
             name=self._wanted.name,
             robot=self._directory.start["robot"],
             payload=self._wanted.payload or Payload(),
