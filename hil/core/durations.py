@@ -1,4 +1,4 @@
-"""Durations as people write them in schedules: `7d`, `90min`, `1h30min`."""
+"""Durations in the form of schedules: `7d`, `90min`, `1h30min`."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ _MOST = timedelta(days=36_500)
 
 
 def duration_of(text: str) -> timedelta:
-    """The duration that a text says.
+    """Return the duration of a text.
 
     Raises:
-        ValueError: It says none, or more than a century.
+        ValueError: The text is no duration, or more than 100 years.
     """
     if not re.match(PATTERN, text):
         raise ValueError(f"must be a duration such as 7d, 12w, 8h or 90min, not {text!r}")
@@ -30,7 +30,7 @@ def duration_of(text: str) -> timedelta:
 
 
 def duration_text(duration: timedelta) -> str:
-    """Inverse of `duration_of`, in whole seconds."""
+    """Return the text of a duration, in whole seconds: the inverse of `duration_of`."""
     left, parts = round(duration.total_seconds()), []
     for unit in ("w", "d", "h", "min", "s"):
         count, left = divmod(left, int(SECONDS[unit]))

@@ -1,4 +1,4 @@
-"""What happens thousands of times is told now and then."""
+"""Throttles: messages about what happens thousands of times, at a bounded rate."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from dataclasses import dataclass
 
 
 class Throttle:
-    """Says whether it is time to tell again.
+    """Says when the next message is due.
 
     Args:
-        every_s: No more often than this [s].
-        at_once: Whether the first time is now, or one such time from now.
+        every_s: Shortest time between two messages [s].
+        at_once: Whether the first message is due now, or after that time.
     """
 
     def __init__(self, every_s: float, *, at_once: bool = True) -> None:
@@ -21,7 +21,7 @@ class Throttle:
         self._next = time.monotonic() + (0.0 if at_once else every_s)
 
     def due(self, *, anyway: bool = False) -> bool:
-        """Whether to tell now, and if so, count from now; `anyway` whatever the time."""
+        """Return whether a message is due, or `anyway`; if so, the next is due `every_s` later."""
         now = time.monotonic()
         if not anyway and now < self._next:
             return False

@@ -1,4 +1,4 @@
-"""Calls that may take only so long: no driver that hangs may keep a run from its end."""
+"""Calls with a time limit, so that a driver that hangs cannot keep a run from its end."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ _T = TypeVar("_T")
 
 LOOK_EVERY_S = 0.05
 ENDS_WITHIN_S = 1.0
+"""Time that an interrupted call has to end [s]."""
 
 
 class _Call(threading.Thread, Generic[_T]):
-    """One call on a thread of its own, which is left behind if it never returns."""
+    """One call on a thread of its own, which stays behind if the call never returns."""
 
     def __init__(self, call: Callable[[], _T], what: str) -> None:
         super().__init__(name=f"hil-{what}", daemon=True)
@@ -26,7 +27,7 @@ class _Call(threading.Thread, Generic[_T]):
     def run(self) -> None:
         try:
             self.outcome.append(self._call())
-        except BaseException as error:  # handed on to whoever waits
+        except BaseException as error:  # for the caller, who waits
             self.error = error
 
 
@@ -36,22 +37,24 @@ def supervised(
     what: str,
     interrupted: Callable[[], object],
 ) -> _T:
-    """What `call` returns, or raises, unless somebody gives it up meanwhile.
+    """Return what `call` returns, unless it is abandoned meanwhile.
 
     Args:
-        call: Made on a thread of its own.
-        abandon: Set when nobody believes in its coming back any more.
-        what: For messages.
-        interrupted: Called at a `KeyboardInterrupt`, which then goes on its way: makes `call` end.
+        call: Runs on a thread of its own.
+        abandon: Set by another thread to stop waiting.
+        what: Name of the call for messages.
+        interrupted: Called at a `KeyboardInterrupt`, to make `call` end; the interrupt is then
+            raised again.
 
     Raises:
-        RobotTimeout: It was given up; the thread may still be there.
+        RobotTimeout: It was abandoned; its thread may still run.
+        BaseException: What `call` raises.
     """
     thread = _Call(call, what)
     thread.start()
     try:
         while thread.is_alive() and not abandon.is_set():
-            thread.join(LOOK_EVERY_S)  # in pieces, so that signals are heard in between
+            thread.join(LOOK_EVERY_S)  # in pieces: signals arrive in between
     except KeyboardInterrupt:
         interrupted()
         thread.join(ENDS_WITHIN_S)
@@ -68,15 +71,16 @@ def supervised(
 
 
 def bounded(call: Callable[[], _T], seconds: float, what: str) -> _T:
-    """What `call` returns, or raises, unless it takes longer than that.
+    """Return what `call` returns, unless it takes too long.
 
     Args:
-        call: May hang; it is then left behind on its thread.
-        seconds: Wall time allowed.
-        what: For messages, e.g. `stopping the robot`.
+        call: May hang; it then stays behind on its thread.
+        seconds: Wall time allowed [s].
+        what: Name of the call for messages, e.g. `stopping the robot`.
 
     Raises:
-        RobotTimeout: It has not come back.
+        RobotTimeout: It has not returned in time.
+        BaseException: What `call` raises.
     """
     thread = _Call(call, what)
     thread.start()

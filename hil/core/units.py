@@ -1,4 +1,4 @@
-"""Units as they end a key (`dwell_s`, `limit_rad`), to explain keys and mend wrong ones."""
+"""Units at the end of keys (`dwell_s`, `limit_rad`), to explain keys and to correct wrong ones."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ _SPELLINGS = {"°": "deg", "°c": "c", "°f": "f", "%": "percent", "µs": "us", 
 
 
 def split_unit(key: str) -> tuple[str, str]:
-    """Split a key into stem and unit suffix: `mass_kg` → (`mass`, `kg`), `seed` → (`seed`, '')."""
+    """Return stem and unit suffix of a key: `mass_kg` → (`mass`, `kg`), `seed` → (`seed`, '')."""
     for suffix in _BY_LENGTH:
         if key.endswith(f"_{suffix}"):
             return key[: -len(suffix) - 1], suffix
@@ -71,13 +71,13 @@ def split_unit(key: str) -> tuple[str, str]:
 
 
 def symbol_of(key: str) -> str:
-    """The unit a key carries as people write it (`kg·m²`), or an empty string."""
+    """Return the symbol of the unit of a key (`kg·m²`), or an empty string."""
     suffix = split_unit(key)[1]
     return UNITS[suffix].symbol if suffix else ""
 
 
 def same_quantity(key: str, known: Iterable[str]) -> str | None:
-    """The known key that names the same quantity in another unit, if there is one.
+    """Return the known key of the same quantity in another unit, if there is one.
 
     `mass_g`, `mass` and `Mass_KG` all lead to `mass_kg`; a key without a unit leads nowhere.
     """
@@ -90,7 +90,7 @@ def same_quantity(key: str, known: Iterable[str]) -> str | None:
 
 
 def converted(value: object, from_suffix: str, to_suffix: str) -> str | None:
-    """A number converted between units of one dimension, as text, or None if that has no sense."""
+    """Return a number in another unit of its dimension, as text; None if there is no such unit."""
     source, target = UNITS.get(from_suffix), UNITS.get(to_suffix)
     if source is None or target is None or source.dimension != target.dimension:
         return None
@@ -100,7 +100,7 @@ def converted(value: object, from_suffix: str, to_suffix: str) -> str | None:
 
 
 def parse_quantity(text: str) -> tuple[float, str] | None:
-    """Read `95 ms` as (95.0, 'ms'): number and unit suffix, or None."""
+    """Return number and unit suffix of a text: `95 ms` → (95.0, `ms`); None for any other text."""
     match = _QUANTITY.fullmatch(text[:64])
     if match is None:
         return None
