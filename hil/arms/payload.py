@@ -1,4 +1,4 @@
-"""A load at the flange: what was mounted, or what was identified."""
+"""Payloads: a rigid body at the flange, as declared or as identified."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Payload:
     inertia: tuple[float, float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
     def agrees_with(self, other: Payload) -> bool:
-        """Whether a read-back is what was declared, within what controllers round to."""
+        """Return whether a read-back is the declared load, within the rounding of controllers."""
         if abs(self.mass - other.mass) > MASS_TOLERANCE_KG:
             return False
         # The centre of mass of nothing is nowhere in particular.
@@ -41,7 +41,7 @@ class Payload:
 
     @property
     def is_empty(self) -> bool:
-        """True when nothing is mounted."""
+        """Whether nothing is mounted."""
         return self.mass == 0.0
 
 
@@ -50,13 +50,13 @@ AnyPayload: TypeAlias = str | float | Payload
 
 
 def payload_of(given: AnyPayload | None) -> Payload | None:
-    """Return a payload as public functions take it; a mass alone is at the flange's origin.
+    """Return the payload of a public function's argument; a mass alone is at the flange's origin.
 
     Returns:
-        None when nothing was said; of 0, that nothing is mounted.
+        None for None; an empty payload for 0.
 
     Raises:
-        SpecError: It is none.
+        SpecError: The argument is no payload.
     """
     if given is None:
         return None
@@ -67,10 +67,10 @@ def payload_of(given: AnyPayload | None) -> Payload | None:
 
 
 def parse_payload(text: str) -> Payload:
-    """Return the payload that `MASS` or `MASS,X,Y,Z` says, in kg and m.
+    """Return the payload of the text `MASS` or `MASS,X,Y,Z`, in kg and m.
 
     Raises:
-        SpecError: It is neither.
+        SpecError: The text is neither.
     """
     try:
         numbers = [float(part) for part in text.split(",")]

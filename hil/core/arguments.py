@@ -16,7 +16,7 @@ def path_of(given: AnyPath) -> Path:
     """Return one path.
 
     Raises:
-        SpecError: It is none.
+        SpecError: The argument is neither text nor a path.
     """
     if isinstance(given, str | Path):
         return Path(given)
@@ -30,7 +30,7 @@ def paths_of(given: AnyPath | Iterable[AnyPath]) -> list[Path]:
     """Return a list of paths; a string counts as one path, not as a sequence of characters.
 
     Raises:
-        SpecError: They are none.
+        SpecError: One is neither text nor a path.
     """
     if isinstance(given, str | Path) or not isinstance(given, Iterable):
         return [path_of(given)]
@@ -42,14 +42,14 @@ def sources_of(*given: AnyPath | Iterable[AnyPath]) -> list[Path]:
 
     Raises:
         DataError: There is none.
-        SpecError: They are no paths.
+        SpecError: One is neither text nor a path.
     """
-    found = [one for some in given for one in paths_of(some)]
-    if not found:
+    paths = [one for some in given for one in paths_of(some)]
+    if not paths:
         raise DataError(
             "no recording was given", hint="give a run directory or an MCAP file (hil.find_runs)"
         )
-    return found
+    return paths
 
 
 def values_by_name(given: Mapping[str, Any] | None, what: str, example: str) -> dict[str, Any]:
@@ -81,7 +81,7 @@ def whole_number(given: int, what: str, least: int) -> int:
         least: The smallest number allowed.
 
     Raises:
-        SpecError: It is none, or too small.
+        SpecError: It is no whole number, or too small.
     """
     try:
         number = index(given)

@@ -80,15 +80,15 @@ def shell_word(name: str | os.PathLike[str]) -> str:
     return "$'" + name_text(text).replace("'", r"\'") + "'"
 
 
-def _escaped(found: re.Match[str] | str) -> str:
-    c = found if isinstance(found, str) else found[0]
+def _escaped(match: re.Match[str] | str) -> str:
+    c = match if isinstance(match, str) else match[0]
     try:
         return "".join(f"\\x{byte:02x}" for byte in os.fsencode(c))
     except UnicodeEncodeError:  # a surrogate that stands for no byte: out of a document
         return f"\\u{ord(c):04x}"
 
 
-def _unescaped(found: re.Match[str]) -> str:
-    if found[0] == "\\\\":
+def _unescaped(match: re.Match[str]) -> str:
+    if match[0] == "\\\\":
         return "\\"
-    return os.fsdecode(bytes.fromhex(found[0].replace("\\x", "")))
+    return os.fsdecode(bytes.fromhex(match[0].replace("\\x", "")))

@@ -48,7 +48,7 @@ DEEPEST_LOOK = 100
 """Levels of nesting of what `look_into` reads: a compiled loader has no other end than a crash."""
 
 MOST_PROBLEMS = 50
-"""So many problems are written out; whoever has more mends these first."""
+"""Problems that are written out; the others are counted."""
 
 KeyPath: TypeAlias = tuple[str | int, ...]
 """Keys and list indices from the top of the file to a value."""
@@ -360,8 +360,8 @@ def _one_kind_of_error() -> Iterator[None]:
     except Exception as error:
         # PyYAML's own errors say where; others say little of what it tripped over.
         plain = type(error) is ValueError or hasattr(error, "problem")
-        told = str(error) if plain else f"{type(error).__name__}: {error}"
-        raise ValueError(f"no YAML: {told}") from error
+        message = str(error) if plain else f"{type(error).__name__}: {error}"
+        raise ValueError(f"no YAML: {message}") from error
 
 
 # Limits
@@ -550,13 +550,13 @@ _AT_THE_END = (
 
 def _plain_words(error: yaml.MarkedYAMLError, text: str) -> tuple[yaml.Mark | None, str]:
     """Return where the mistake is and what it is: PyYAML says what its parser had hoped for."""
-    told = f"{error.context or ''} {error.problem or ''}"
+    words = f"{error.context or ''} {error.problem or ''}"
     for sign, meaning in _AT_THE_START:
-        if sign in told:
+        if sign in words:
             return error.context_mark or error.problem_mark, meaning
     mark = error.problem_mark or error.context_mark
     for sign, meaning in _AT_THE_END:
-        if sign in told:
+        if sign in words:
             if meaning == _COLON and mark is not None and _is_indented_key(text, mark):
                 return mark, "this line is indented differently from the line above"
             return mark, meaning

@@ -53,7 +53,7 @@ def station_robots(path: Path) -> Iterator[Finding]:
     yield Finding("station", f"{path}: the file is valid")
     with ThreadPoolExecutor(AT_ONCE) as pool:
         answers = list(pool.map(_ask, *zip(*station.robots.items(), strict=True)))
-    inside = [name for name, found in zip(station.robots, answers, strict=True) if not found]
+    inside = [name for name, answer in zip(station.robots, answers, strict=True) if not answer]
     if inside:
         shown = ", ".join(inside) if len(inside) < MANY else f"{len(inside)} of them"
         yield Finding("mock robots", f"{shown}: within hil, nothing to reach")
