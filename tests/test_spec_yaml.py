@@ -166,9 +166,11 @@ ODD_TEXT = st.sampled_from(["12e4", "0o17", "1_0", "12:30", "yes", "~", "", "202
 
 
 @examples(100)
-@given(st.dictionaries(TEXTS, st.lists(ANY_TEXT | ODD_TEXT, max_size=4), max_size=4))
-def test_text_that_is_written_is_text_to_both_readers(document: dict[str, list[str]]) -> None:
-    text = yaml_text(document)
+@given(st.dictionaries(TEXTS, st.lists(ANY_TEXT | ODD_TEXT, max_size=4), max_size=4), st.booleans())
+def test_text_that_is_written_is_text_to_both_readers(
+    document: dict[str, list[str]], block: bool
+) -> None:
+    text = yaml_text(document, block=block)
 
     assert parse(text, "f").data == look_into(text) == document
 

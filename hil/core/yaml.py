@@ -286,38 +286,54 @@ def with_value(text: str, key: str, value: str) -> str | None:
     return None
 
 
-def yaml_text(data: Any, *, width: int = 80) -> str:
-    """Return plain data as a YAML document; innermost lists and mappings take one line.
+def yaml_text(data: Any, *, block: bool = False, width: int = 80) -> str:
+    """Return plain data as a YAML document.
 
     Args:
         data: dicts, lists, strings, numbers, booleans and None.
+        block: Every value on a line of its own, and quotes only where a version of YAML needs them.
+            Otherwise innermost lists and mappings take one line, and only words have no quotes.
         width: Characters of a line.
     """
     text: str = yaml.dump(
         data,
-        Dumper=_PlainDumper,
+        Dumper=_BlockDumper if block else _FlowDumper,
         sort_keys=False,
         allow_unicode=True,
-        default_flow_style=None,
+        default_flow_style=False if block else None,
         width=width,
     )
     return text
 
 
-class _PlainDumper(yaml.SafeDumper):
-    """Quotes every text that any version of YAML may take for something else."""
+class _BlockDumper(yaml.SafeDumper):
+    """Quotes text that YAML 1.2 takes for something else, as PyYAML does for YAML 1.1.
+
+    Line breaks of Unicode, which PyYAML would write as they are, are escaped.
+    """
+
+
+class _FlowDumper(yaml.SafeDumper):
+    """Quotes all text but words."""
 
 
 _WORDS = re.compile(r"[A-Za-z][A-Za-z_-]+[0-9]*")
 _CONSTANTS = ("null", "true", "false", "yes", "no", "on", "off")
 
 
-def _represented(dumper: yaml.SafeDumper, value: str) -> yaml.ScalarNode:
-    plain = _WORDS.fullmatch(value) and value.casefold() not in _CONSTANTS
-    return dumper.represent_scalar("tag:yaml.org,2002:str", value, style=None if plain else '"')
+def _block_text(dumper: yaml.SafeDumper, value: str) -> yaml.ScalarNode:
+    is_other = any(re.fullmatch(pattern, value) for pattern, _ in _CORE_SCALARS.values())
+    style = "'" if is_other else None if value.isprintable() else '"'
+    return dumper.represent_scalar(_TAG + "str", value, style=style)
 
 
-_PlainDumper.add_representer(str, _represented)
+def _flow_text(dumper: yaml.SafeDumper, value: str) -> yaml.ScalarNode:
+    is_word = _WORDS.fullmatch(value) and value.casefold() not in _CONSTANTS
+    return dumper.represent_scalar(_TAG + "str", value, style=None if is_word else '"')
+
+
+_BlockDumper.add_representer(str, _block_text)
+_FlowDumper.add_representer(str, _flow_text)
 
 
 def as_scalar(text: str) -> str:

@@ -319,7 +319,7 @@ def _import_map(dataset: Dataset, table: _Table) -> str:
     if dataset.drive_gains is not None:
         document["drive_gains_nm_a"] = dataset.drive_gains.tolist()
         document["drive_gains_source"] = dataset.drive_gains_source
-    return yaml_text(document, width=120)
+    return yaml_text(document, block=True, width=120)
 
 
 def _quantities(dataset: Dataset, table: _Table) -> dict[str, Any]:
