@@ -6,7 +6,6 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -21,10 +20,10 @@ from hil.maintenance.fleet_specs import experiment_for, spec_for
 from hil.models.drift import Probe
 from hil.models.drift_features import Features, feature_names
 from hil.models.fleet_fits import FitResult, RobotFit, register_fit
-from hil.models.fleet_folder import FleetFolder
 from hil.models.fleet_outliers import compare_robots
 from hil.models.fleet_survey import Survey, SurveyedRobot, probe_fleet, survey_fleet
 from hil.models.model_registry import Registry
+from hil.recording.run_group import FleetGroup, Member
 from hil.report.fleet_page import fleet_page, standing_out
 from hil.report.page import page_html
 from hil.workflow.running import run as run_experiment
@@ -118,13 +117,14 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("fleet")
     spec, station = written(folder, {"a": "seed: 1", "b": "seed: 2", "c": "seed: 3"}, PROBE)
     specs = {name: spec_for(PROBE, "small.yaml", name) for name in "abc"}
-    made = FleetFolder.create(folder / "runs", "small", specs, spec, str(station))
-    entries: list[dict[str, Any]] = []
+    made = FleetGroup.create(folder / "runs", "small", specs, spec, str(station))
+    members: list[Member] = []
     with one_thread():
         for name in "ab":
             one = experiment_for(specs[name], folder, station, made.spec_of(name))
-            entries.append({"robot": name, **run_experiment(one, runs=made.runs).to_dict()})
-    made.write([*entries, {"robot": "c"}])
+            report = run_experiment(one, runs=made.runs).to_dict()
+            members.append(Member("small", name, report))
+    made.write([*members, Member("small", "c", {})])
     return made.path
 
 
@@ -148,12 +148,13 @@ def test_runs_of_a_fleet_are_judged_as_probes_of_its_champions(fleet: Path, tmp_
     registry = Registry(tmp_path / "registry")
     bare = probe_fleet(fleet, registry, 0.01)
     assert ["no models of" in one.error for one in bare] == [True, True]
-    _, members = FleetFolder.open(fleet)
+    members = FleetGroup.open(fleet).members()
     # each the model of the other: the same arm, and none was fitted to its own run
     for one, other in zip(members[:2], reversed(members[:2]), strict=True):
-        model = Path(other["models"][0])
+        model = Path(other.report["models"][0])
         model = model if model.is_absolute() else fleet / model
-        fit = RobotFit(one["robot"], Path(one["run"]), FitResult(model.name, passed=True), model)
+        assert one.run is not None
+        fit = RobotFit(one.robot, one.run, FitResult(model.name, passed=True), model)
         assert register_fit(fit, registry).role == "champion"
     told = probe_fleet(fleet, registry, 0.01)
     assert [(one.robot, one.error, one.note) for one in told] == [("a", "", ""), ("b", "", "")]
@@ -167,7 +168,7 @@ def test_runs_of_a_fleet_are_judged_as_probes_of_its_champions(fleet: Path, tmp_
     with pytest.raises(DataError, match=r"fleet\.json"):
         survey_fleet(tmp_path, registry, workers=1)
     # what was said under a champion that was is not said of the present one
-    version = registry.register("a", Path(members[0]["models"][0]), {})
+    version = registry.register("a", Path(members[0].report["models"][0]), {})
     registry.promote("a", version.number, reason="new", evidence={}, instead_of=1)
     found = survey_fleet(fleet, registry, workers=1)
     assert [one.probe is None for one in found.robots] == [True, False]
@@ -179,8 +180,8 @@ def test_a_member_that_was_deleted_or_damaged_costs_nobody_else(
     runs = tmp_path / "runs"
     shutil.copytree(fleet.parents[2], runs)
     copied = runs / fleet.relative_to(fleet.parents[2])
-    _, members = FleetFolder.open(copied)
-    shutil.rmtree(members[0]["run"])
+    members = FleetGroup.open(copied).members()
+    shutil.rmtree(members[0].run or "")
     registry = Registry(tmp_path / "registry")
     survey = survey_fleet(copied, registry, workers=1)
     assert [one.robot for one in survey.robots] == ["a", "b"]

@@ -18,9 +18,9 @@ from hil.cli.app import app
 from hil.core.errors import DataError, SpecError
 from hil.core.files import read_json
 from hil.maintenance.fleet_specs import robots_like, spec_for
-from hil.models.fleet_folder import FleetFolder
 from hil.planning.experiment import mock_bench
 from hil.planning.robots import open_robot
+from hil.recording.run_group import FleetGroup
 from hil.robot.lease import leased
 from hil.spec.load import load_station, spec_from_text
 
@@ -80,14 +80,14 @@ def test_a_broken_robot_leaves_the_others_alone_and_is_run_when_it_is_mended(
 
 @pytest.mark.quick
 def test_a_fleet_belongs_to_one_process(tmp_path: Path) -> None:
-    folder = FleetFolder.create(tmp_path, "small", {"a": SPEC}, tmp_path / "small.yaml", "")
+    folder = FleetGroup.create(tmp_path, "small", {"a": SPEC}, tmp_path / "small.yaml", "")
     with folder.held(), pytest.raises(DataError, match="belongs to pid"), folder.held():
         pass
 
 
 def test_a_hidden_folder_is_no_run_of_a_fleet(tmp_path: Path) -> None:
     """A run that is still prepared has a start document, and so has one that is being deleted."""
-    fleet = FleetFolder.create(tmp_path, "small", {"a": SPEC}, tmp_path / "small.yaml", "")
+    fleet = FleetGroup.create(tmp_path, "small", {"a": SPEC}, tmp_path / "small.yaml", "")
     start = {"spec": str(fleet.spec_of("a"))}
     run = write_run(tmp_path, 1, robot="a", start=start)
     for name in (".draft-0002", ".trash-0003"):
@@ -98,10 +98,10 @@ def test_a_hidden_folder_is_no_run_of_a_fleet(tmp_path: Path) -> None:
 
 
 def test_a_damaged_document_is_told(tmp_path: Path) -> None:
-    folder = FleetFolder.create(tmp_path, "small", {"a": SPEC}, tmp_path / "small.yaml", "")
+    folder = FleetGroup.create(tmp_path, "small", {"a": SPEC}, tmp_path / "small.yaml", "")
     (folder.path / "fleet.json").write_text('{"hil_fleet_run": 1, "members": [{}]}', "utf-8")
     with pytest.raises(DataError, match="no list of robots"):
-        FleetFolder.open(folder.path)
+        FleetGroup.open(folder.path)
 
 
 @pytest.mark.wire

@@ -13,10 +13,9 @@ import pytest
 
 from hil.core.errors import HilError
 from hil.engine import nobody_goes_on
-from hil.maintenance.fleet_workers import Job, Manner, Workers, run_job
-from hil.models.fleet_folder import FleetFolder
+from hil.maintenance.fleet_run import Job, Manner, Workers, run_job
+from hil.recording.run_group import FleetGroup, Member
 from hil.workflow.operator import Desk
-from hil.workflow.series import Ended
 
 TOLD = {"outcome": "completed"}
 
@@ -34,36 +33,36 @@ def stays_whatever(job: Job, answer: Connection) -> None:
 
 
 def one_at_it(folder: Path) -> Workers:
-    made = FleetFolder.create(folder, "small", {"a": "hil: 1\n"}, folder / "small.yaml", "")
+    made = FleetGroup.create(folder, "small", {"a": "hil: 1\n"}, folder / "small.yaml", "")
     fleet = Workers(made, Manner(1))
-    fleet.begin(0, Ended("small", "a", {}, None))
+    fleet.start(0, Member("small", "a", {}))
     return fleet
 
 
 def test_a_worker_that_has_answered_and_stays_is_killed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hil.maintenance.fleet_workers.worker_main", stays_whatever)
-    monkeypatch.setattr("hil.maintenance.fleet_workers.GONE_S", 0.2)
+    monkeypatch.setattr("hil.maintenance.fleet_run.worker_main", stays_whatever)
+    monkeypatch.setattr("hil.maintenance.fleet_run.GONE_S", 0.2)
     fleet = one_at_it(tmp_path)
-    ((_, process),) = fleet.going.values()
-    assert list(fleet.ended()) == [(0, TOLD)]
+    ((_, process),) = fleet.running.values()
+    assert list(fleet.answers()) == [(0, TOLD)]
     assert process.exitcode == -signal.SIGKILL
-    assert not fleet.going
+    assert not fleet.running
 
 
 def test_ctrl_c_reaches_a_worker_that_has_answered(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hil.maintenance.fleet_workers.worker_main", stays)
-    monkeypatch.setattr("hil.maintenance.fleet_workers.GONE_S", 40.0)
+    monkeypatch.setattr("hil.maintenance.fleet_run.worker_main", stays)
+    monkeypatch.setattr("hil.maintenance.fleet_run.GONE_S", 40.0)
     fleet = one_at_it(tmp_path)
-    ((answer, (_, process)),) = fleet.going.items()
+    ((answer, (_, process)),) = fleet.running.items()
     assert answer.poll(30.0)
     threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()
     begin = time.monotonic()
     with fleet.signals():
-        assert list(fleet.ended()) == [(0, TOLD)]
+        assert list(fleet.answers()) == [(0, TOLD)]
     assert time.monotonic() - begin < 20.0
     assert process.exitcode == -signal.SIGTERM
 
@@ -77,7 +76,7 @@ def test_no_operator_attends_the_run_of_a_worker(
         desks.append(desk)
         raise HilError("enough")
 
-    monkeypatch.setattr("hil.maintenance.fleet_workers.resume_experiment", resumed)
+    monkeypatch.setattr("hil.maintenance.fleet_run.resume_experiment", resumed)
     (tmp_path / "start.json").write_text('{"hil_run": 1, "robot_name": "ur5"}')
     answer = run_job(Job(tmp_path, tmp_path, "", tmp_path, before=tmp_path))
     assert answer["error"]["message"] == "enough"

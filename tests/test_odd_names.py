@@ -26,9 +26,9 @@ from hil.cli.app import main
 from hil.core.files import json_document, json_line, read_json
 from hil.core.lock_file import hold_run
 from hil.core.text import json_text, name_read, name_text, quoted, shell_word, utf8_text
-from hil.models.fleet_folder import FleetFolder
 from hil.models.log import damaged
 from hil.recording.run_directory import RunDirectory
+from hil.recording.run_group import FleetGroup, Member
 
 DWELL = Path(__file__).parents[1] / "experiments" / "ci_dwell_12.yaml"
 URDF = Path(__file__).with_name("own_arm.urdf")
@@ -304,8 +304,9 @@ NAVIGATION = ("/", "/runs", "/models", "/schedules", "/fleets", "/start")
 def test_every_page_of_the_dashboard_is_there_with_all_it_links_to(
     lab: Path, places: dict[str, Path]
 ) -> None:
-    fleet = FleetFolder.create(places["runs"], "x", {"ur5": "hil: 1\n"}, places["spec"], "")
-    fleet.write([{"robot": "ur5", "run": str(places["run"]), "outcome": "completed"}])
+    fleet = FleetGroup.create(places["runs"], "x", {"ur5": "hil: 1\n"}, places["spec"], "")
+    report = {"run": str(places["run"]), "outcome": "completed"}
+    fleet.write([Member("x", "ur5", report)])
     odd = fleet.path.rename(fleet.path.with_name(f"fleet-{WORST}"))
     (odd / "fleet.html").write_text("<p>all")
     client = dashboard(lab, runs=places["runs"], specs=lab)

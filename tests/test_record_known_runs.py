@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from hil.core.lock_file import hold_run
+from hil.recording.run_group import FleetGroup
 from hil.runs import live_runs as module
 from hil.runs.live_runs import KnownRuns
 
@@ -99,3 +100,10 @@ def test_a_run_without_its_first_document_is_asked_again(tmp_path: Path) -> None
     (run / "start.json").write_text('{"started_as": "17"}')
     assert known.started_as("17") == [run]
     assert KnownRuns(tmp_path / "nowhere").live() == []
+
+
+def test_a_fleet_at_work_is_no_live_run(tmp_path: Path) -> None:
+    fleet = FleetGroup.create(tmp_path, "small", {"a": "hil: 1\n"}, tmp_path / "small.yaml", "")
+    run = made(tmp_path)
+    with fleet.held(), hold_run(run):
+        assert KnownRuns(tmp_path).live() == [run]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,8 @@ from hil.cli.series import resume_series
 from hil.core.errors import DataError, FitError, HilError, InterlockTripped, Rejected, Stopped
 from hil.planning.commissioning import Commissioning
 from hil.planning.experiment import Experiment
+from hil.recording.run_group import SeriesGroup
 from hil.report.series_page import side_by_side
-from hil.runs.series_folder import SeriesFolder
 from hil.studies.result import Part, StudyResult, Table
 from hil.studies.store import write_study
 from hil.workflow.series import Series, load_series, run_series
@@ -52,8 +53,8 @@ def series(tmp_path: Path) -> Series:
 
 
 @pytest.fixture
-def folder(series: Series, tmp_path: Path) -> SeriesFolder:
-    return SeriesFolder.create(tmp_path / "runs", series.spec, series.source)
+def folder(series: Series, tmp_path: Path) -> SeriesGroup:
+    return series.create_group(tmp_path / "runs")
 
 
 class Robot:
@@ -80,7 +81,7 @@ class Robot:
         return [name for name, _ in self.asked]
 
 
-def test_experiments_are_run_in_order(series: Series, folder: SeriesFolder) -> None:
+def test_experiments_are_run_in_order(series: Series, folder: SeriesGroup) -> None:
     robot = Robot()
     report = run_series(series, folder, robot)
     assert robot.names == list(NAMES)
@@ -89,10 +90,10 @@ def test_experiments_are_run_in_order(series: Series, folder: SeriesFolder) -> N
 
 @pytest.mark.parametrize("error", [Rejected("missed"), FitError("too few")])
 def test_a_bad_model_does_not_keep_the_next_robot_from_moving(
-    series: Series, folder: SeriesFolder, error: HilError
+    series: Series, folder: SeriesGroup, error: HilError
 ) -> None:
     report = run_series(series, folder, Robot(first=error))
-    assert len(report.ended) == 3
+    assert len(report.members) == 3
     assert report.error is error
 
 
@@ -100,73 +101,80 @@ def test_a_bad_model_does_not_keep_the_next_robot_from_moving(
     "error", [InterlockTripped("too fast"), Stopped("stopped", by_signal=True)]
 )
 def test_a_run_that_ends_early_ends_the_series(
-    series: Series, folder: SeriesFolder, error: HilError
+    series: Series, folder: SeriesGroup, error: HilError
 ) -> None:
     report = run_series(series, folder, Robot(second=error))
-    assert [each.experiment for each in report.ended] == ["first", "second"]
+    assert [each.experiment for each in report.members] == ["first", "second"]
     assert report.left == ("third",)
     assert report.error is error
 
 
 def test_the_worst_is_what_ended_the_series_then_a_fit_then_a_rejection(
-    series: Series, folder: SeriesFolder
+    series: Series, tmp_path: Path
 ) -> None:
+    first, second = (series.create_group(tmp_path) for _ in range(2))
     outcomes = {"first": Rejected("missed"), "second": FitError("few")}
-    assert isinstance(run_series(series, folder, Robot(**outcomes)).error, FitError)
+    assert isinstance(run_series(series, first, Robot(**outcomes)).error, FitError)
     outcomes["third"] = InterlockTripped("hot")
-    report = run_series(series, folder, Robot(**outcomes))
+    report = run_series(series, second, Robot(**outcomes))
     assert (type(report.error), report.to_dict()["exit_code"]) == (InterlockTripped, 5)
 
 
-def test_ctrl_c_between_two_runs_keeps_what_there_is(series: Series, folder: SeriesFolder) -> None:
+def test_ctrl_c_between_two_runs_keeps_what_there_is(series: Series, folder: SeriesGroup) -> None:
     report = run_series(series, folder, Robot(second=KeyboardInterrupt()))
     assert report.to_dict()["exit_code"] == 130
-    _, kept = SeriesFolder.open(folder.path)
-    assert [run.get("outcome") for run in kept] == ["completed", None]
+    kept = SeriesGroup.open(folder.path).members()
+    assert [member.report.get("outcome") for member in kept] == ["completed", None]
 
 
-def test_going_on_repeats_nothing_that_was_measured(series: Series, folder: SeriesFolder) -> None:
+def test_going_on_repeats_nothing_that_was_measured(series: Series, folder: SeriesGroup) -> None:
     run_series(series, folder, Robot(first=Rejected("missed"), second=InterlockTripped("hot")))
-    again, before = SeriesFolder.open(folder.path)
     robot = Robot()
-    report = run_series(series, again, robot, before)
+    report = run_series(series, SeriesGroup.open(folder.path), robot)
     assert robot.names == ["second", "third"]
     assert robot.asked[0][1]["outcome"] == "tripped"
     assert isinstance(report.error, Rejected)
 
 
 def test_a_run_that_was_stopped_during_its_studies_is_gone_on_with(
-    series: Series, folder: SeriesFolder
+    series: Series, folder: SeriesGroup
 ) -> None:
     def stopped(experiment: Experiment, before: dict[str, Any]) -> Any:
         return {"outcome": "completed"}, Stopped("during the studies", by_signal=True)
 
-    assert len(run_series(series, folder, stopped).ended) == 1
-    again, before = SeriesFolder.open(folder.path)
+    assert len(run_series(series, folder, stopped).members) == 1
     robot = Robot()
-    run_series(series, again, robot, before)
+    run_series(series, SeriesGroup.open(folder.path), robot)
     assert robot.names == list(NAMES)
 
 
 def test_a_file_that_names_other_experiments_now_is_refused(
-    series: Series, folder: SeriesFolder
+    series: Series, folder: SeriesGroup
 ) -> None:
     run_series(series, folder, Robot(second=InterlockTripped("hot")))
-    again, before = SeriesFolder.open(folder.path)
-    before[0]["experiment"] = "another"
+    first, second = folder.members()
+    folder.write([replace(first, experiment="another"), second])
     with pytest.raises(DataError, match="another, second were run"):
-        run_series(series, again, Robot(), before)
+        run_series(series, SeriesGroup.open(folder.path), Robot())
 
 
 def test_folders_of_a_day_do_not_meet(series: Series, tmp_path: Path) -> None:
-    made = [SeriesFolder.create(tmp_path, series.spec, series.source) for _ in range(2)]
+    made = [series.create_group(tmp_path) for _ in range(2)]
     assert [each.path.name for each in made] == ["series-three.of-them", "series-three.of-them-2"]
 
 
-def test_a_damaged_document_is_told(folder: SeriesFolder) -> None:
+def test_a_series_belongs_to_one_process(series: Series, folder: SeriesGroup) -> None:
+    run_series(series, folder, Robot(second=InterlockTripped("hot")))
+    with folder.held():
+        done = CliRunner().invoke(app, ["resume", str(folder.path)])
+    assert isinstance(done.exception, DataError)
+    assert "belongs to pid" in str(done.exception)
+
+
+def test_a_damaged_document_is_told(folder: SeriesGroup) -> None:
     (folder.path / "series.json").write_text('{"hil_series_run": 1, "runs": [3]}', "utf-8")
     with pytest.raises(DataError, match="no list of runs"):
-        SeriesFolder.open(folder.path)
+        SeriesGroup.open(folder.path)
 
 
 def test_a_series_on_the_command_line(pair: Path, tmp_path: Path) -> None:
@@ -192,7 +200,7 @@ def test_a_series_on_the_command_line(pair: Path, tmp_path: Path) -> None:
 @pytest.mark.quick
 def test_what_is_left_of_a_slow_series_is_run_as_slowly(series: Series, tmp_path: Path) -> None:
     slow = Commissioning(speed=0.1)
-    folder = SeriesFolder.create(tmp_path, series.spec, series.source, None, slow)
+    folder = series.create_group(tmp_path, part=slow)
     run_series(series, folder, Robot(second=InterlockTripped("hot")))
     asked: list[Commissioning | None] = []
 
@@ -249,7 +257,7 @@ def test_tables_with_other_columns_stand_below_one_another() -> None:
     assert len(side_by_side([("one", table(("a", 1.0))), ("two", other)])) == 2
 
 
-def test_the_overview_has_the_tables_of_the_studies(series: Series, folder: SeriesFolder) -> None:
+def test_the_overview_has_the_tables_of_the_studies(series: Series, folder: SeriesGroup) -> None:
     run = folder.path.parent / "0001-first"
     part = Part("Held out", "honest", (), (table(("ours", 0.5)),))
     write_study(StudyResult("compared", "Compared", (), (part,), {}), run / "study" / "compared-0")
@@ -262,12 +270,12 @@ def test_the_overview_has_the_tables_of_the_studies(series: Series, folder: Seri
     assert page.count('<td class="number ">0.500</td>') == 3
 
 
-def finished(folder: SeriesFolder, series: Series) -> str:
+def finished(folder: SeriesGroup, series: Series) -> str:
     run_series(series, folder, Robot(first=Rejected("missed")))
     return str(folder.path)
 
 
-def test_of_a_finished_series_nothing_is_left_to_do(series: Series, folder: SeriesFolder) -> None:
+def test_of_a_finished_series_nothing_is_left_to_do(series: Series, folder: SeriesGroup) -> None:
     done = CliRunner().invoke(app, ["resume", finished(folder, series)])
     assert done.exit_code == 0, done.output
     (line,) = done.stdout.splitlines()
@@ -278,7 +286,7 @@ def test_of_a_finished_series_nothing_is_left_to_do(series: Series, folder: Seri
 
 
 def test_the_overview_has_the_errors_of_the_models_and_the_time_as_runs_have_it(
-    series: Series, folder: SeriesFolder
+    series: Series, folder: SeriesGroup
 ) -> None:
     run = folder.path.parent / "0001-first"
     model = run / "fit" / "rigid-wls-0"
@@ -292,7 +300,7 @@ def test_the_overview_has_the_errors_of_the_models_and_the_time_as_runs_have_it(
         return {"run": str(run), "outcome": "completed", "verdict": "passed"}, None
 
     began = {**folder.head, "started": "2026-11-22T12:08:13+01:00"}
-    at_one = SeriesFolder(folder.path, began)
+    at_one = SeriesGroup(folder.path, began)
     page = (run_series(series, at_one, measured).page or Path()).read_text("utf-8")
     for text in ("rigid-wls", "0.0123", "0.00420"):
         assert page.count(f">{text}</td>") == 3

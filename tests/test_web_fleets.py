@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -11,41 +12,42 @@ pytest.importorskip("starlette", reason='the dashboard: pip install "hil[web]"')
 from catalogue_runs import write_run
 from web_parts import SLY, dashboard, plain, seen
 
-from hil.models.fleet_folder import FleetFolder
+from hil.recording.run_group import FleetGroup, Member
 
 pytestmark = pytest.mark.quick
 
 
 @pytest.fixture
-def fleet(tmp_path: Path) -> FleetFolder:
+def fleet(tmp_path: Path) -> FleetGroup:
     """Of three robots: one has measured all, one was stopped, one was not begun."""
     runs = tmp_path / "runs"
     names = ("ur5-1", "ur5-2", "ur5-3")
-    made = FleetFolder.create(runs, "small", dict.fromkeys(names, "hil: 1\n"), tmp_path / "s", "")
+    made = FleetGroup.create(runs, "small", dict.fromkeys(names, "hil: 1\n"), tmp_path / "s", "")
     first = write_run(runs, 1, robot="ur5-1")
     (first / "report.html").write_text("<p>x")
     second = write_run(runs, 2, robot="ur5-2", outcome="stopped")
-    made.write([
+    entries: list[dict[str, Any]] = [
         {"robot": "ur5-1", "run": str(first), "uid": "uid-ur5-1-1", "outcome": "completed",
          "verdict": "passed", "report": str(first / "report.html")},
         {"robot": "ur5-2", "run": str(second), "uid": "uid-ur5-2-2", "outcome": "stopped",
          "error": {"kind": "Stopped", "message": f"by hand {SLY}"}},
         {"robot": "ur5-3"},
-    ])  # fmt: skip
+    ]  # fmt: skip
+    made.write(map(Member.from_dict, entries))
     return made
 
 
-def address(fleet: FleetFolder) -> str:
+def address(fleet: FleetGroup) -> str:
     return f"/fleets/{fleet.path.relative_to(fleet.runs)}"
 
 
-def test_all_fleets_are_listed_with_what_came_of_them(fleet: FleetFolder, tmp_path: Path) -> None:
+def test_all_fleets_are_listed_with_what_came_of_them(fleet: FleetGroup, tmp_path: Path) -> None:
     html = seen(dashboard(tmp_path), "/fleets")
     assert f'<a href="{address(fleet)}">small</a>' in html
     assert "1 completed, 1 stopped, 1 not begun; 1 passed" in plain(html)
 
 
-def test_every_robot_leads_to_its_run_and_report(fleet: FleetFolder, tmp_path: Path) -> None:
+def test_every_robot_leads_to_its_run_and_report(fleet: FleetGroup, tmp_path: Path) -> None:
     html = seen(dashboard(tmp_path), address(fleet))
     assert '<a href="/runs/2026-11-20/ur5-1/0001-fourier">0001-fourier</a>' in html
     assert 'href="/runs/2026-11-20/ur5-1/0001-fourier/report"' in html
@@ -55,7 +57,7 @@ def test_every_robot_leads_to_its_run_and_report(fleet: FleetFolder, tmp_path: P
     assert "fleet.html" not in html
 
 
-def test_its_page_is_shut_in(fleet: FleetFolder, tmp_path: Path) -> None:
+def test_its_page_is_shut_in(fleet: FleetGroup, tmp_path: Path) -> None:
     (fleet.path / "fleet.html").write_text("<p>all")
     client = dashboard(tmp_path)
     where = f"/runs/{fleet.path.relative_to(fleet.runs)}/fleet.html"
@@ -64,15 +66,16 @@ def test_its_page_is_shut_in(fleet: FleetFolder, tmp_path: Path) -> None:
     assert client.get(where).headers["content-security-policy"].startswith("sandbox ")
 
 
-def test_a_run_of_another_place_gets_no_link(fleet: FleetFolder, tmp_path: Path) -> None:
+def test_a_run_of_another_place_gets_no_link(fleet: FleetGroup, tmp_path: Path) -> None:
     other = write_run(tmp_path / "other", 1, robot="ur5-1")
-    fleet.write([{"robot": "ur5-1", "run": str(other), "uid": "another", "outcome": "completed"}])
+    report = {"run": str(other), "uid": "another", "outcome": "completed"}
+    fleet.write([Member("small", "ur5-1", report)])
     html = seen(dashboard(tmp_path), address(fleet))
     assert "0001-fourier" in html
     assert 'href="/runs/' not in html
 
 
-def test_a_damaged_fleet_is_named_among_the_others(fleet: FleetFolder, tmp_path: Path) -> None:
+def test_a_damaged_fleet_is_named_among_the_others(fleet: FleetGroup, tmp_path: Path) -> None:
     bad = fleet.path.parent / "fleet-bad"
     bad.mkdir()
     (bad / "fleet.json").write_text("{")

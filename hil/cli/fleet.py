@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -14,8 +14,8 @@ from hil.cli.output import JsonFlag, RunsOption, SpecPath, StationOption, print_
 
 if TYPE_CHECKING:
     from hil.maintenance import FleetReport, Manner
-    from hil.models import FleetFolder
-    from hil.workflow import Ended, Moves
+    from hil.recording import FleetGroup, Member
+    from hil.workflow import Moves
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -52,8 +52,8 @@ def run(
     """Run an experiment on many robots of a station; its own `robot` is replaced by each."""
     from hil.core import cores
     from hil.maintenance import Manner, robots_like, robots_named, spec_for
-    from hil.models import FleetFolder
     from hil.planning import find_station
+    from hil.recording import FleetGroup
     from hil.workflow import confirm_together
 
     waived = waivers_of(waive or ())
@@ -64,9 +64,8 @@ def run(
     moves = _moves(specs, spec, file, naming, named)
     confirmed = confirm_together(moves, who=operator, yes=yes)
     name = next(iter(moves.experiments.values())).spec.name
-    folder = FleetFolder.create(runs, name, specs, spec, file, robots=naming if named else None)
-    members = [{"robot": name} for name in specs]
-    _run(folder, members, Manner(workers or cores(), operator, waived, confirmed), json)
+    fleet = FleetGroup.create(runs, name, specs, spec, file, robots=naming if named else None)
+    _run(fleet, Manner(workers or cores(), operator, waived, confirmed), json)
 
 
 @app.command()
@@ -81,17 +80,17 @@ def resume(
     """Go on with a fleet: with runs that ended early, and robots that were not begun."""
     from hil.core import cores
     from hil.maintenance import Manner, robots_left, robots_named
-    from hil.models import FleetFolder
+    from hil.recording import FleetGroup
     from hil.workflow import confirm_together
 
-    opened, members = FleetFolder.open(folder)
-    head, naming = opened.head, opened.head.get("robots")
-    left = {name: opened.spec_of(name).read_text("utf-8") for name in robots_left(opened, members)}
+    fleet = FleetGroup.open(folder)
+    head, naming = fleet.head, fleet.head.get("robots")
+    left = {name: fleet.spec_of(name).read_text("utf-8") for name in robots_left(fleet)}
     _, file, named = robots_named([naming] if naming else [])
     moves = _moves(left, Path(head["source"]), head["station"], file, named)
     confirmed = confirm_together(moves, who=operator, yes=yes)
     manner = Manner(workers or cores(), operator, waivers_of(waive or ()), confirmed)
-    _run(opened, members, manner, json)
+    _run(fleet, manner, json)
 
 
 def _moves(
@@ -114,18 +113,16 @@ def _moves(
     return Moves(naming, named, members)
 
 
-def _run(
-    folder: "FleetFolder", members: list[dict[str, Any]], manner: "Manner", json: bool
-) -> None:
+def _run(fleet: "FleetGroup", manner: "Manner", json: bool) -> None:
     from hil.engine import ignore_from_now_on
     from hil.maintenance import run_fleet
 
-    def tell(ended: "Ended", number: int, total: int) -> None:
-        why = f": {ended.error.message}" if ended.error else ""
-        typer.echo(f"{number} of {total}: {ended.robot}: {ended.word}{why}", err=True)
+    def tell(member: "Member", number: int, total: int) -> None:
+        why = f": {member.error.message}" if member.error else ""
+        typer.echo(f"{number} of {total}: {member.robot}: {member.word}{why}", err=True)
 
-    with folder.held():
-        report = run_fleet(folder, members, manner, tell)
+    with fleet.held():
+        report = run_fleet(fleet, manner, tell)
     ignore_from_now_on()
     _tell(report, json)
 
@@ -136,13 +133,13 @@ def _tell(report: "FleetReport", json: bool) -> None:
     if json:
         print_json(report.to_dict())
     else:
-        rows = [(one.robot, one.word, Path(one.report.get("run", "")).name) for one in report.ended]
+        rows = [(one.robot, one.word, one.run.name if one.run else "") for one in report.members]
         rows += [(name, "not begun", "") for name in report.left]
         print_table(("robot", "result", "run"), rows)
         typer.echo(f"fleet: {report.folder}")
     if (error := report.error) is None:
         return
-    if report.left or not all(one.measured for one in report.ended):
+    if report.left or not all(one.measured for one in report.members):
         hint = f"when the cause is mended: hil fleet resume {report.folder}"
         error.hint = f"{error.hint}; {hint}" if error.hint else hint
     fail(error, json)

@@ -126,11 +126,12 @@ def report(
 ) -> None:
     """Which robots have drifted or stand out; friction over age and temperature."""
     from hil.core import cores
-    from hil.models import PAGE, Registry, survey_fleet
+    from hil.models import Registry, survey_fleet
+    from hil.recording import FleetGroup
     from hil.report import render_fleet, standing_out
 
     survey = survey_fleet(folder, Registry(registry), workers=workers or cores())
-    page = render_fleet(survey, out or folder / PAGE)
+    page = render_fleet(survey, out or FleetGroup.page_in(folder))
     if json:
         print_json({**survey.to_dict(), "page": str(page)})
         return
@@ -174,15 +175,14 @@ def _runs_of(what: list[str], runs: Path) -> tuple[list[Path], Path]:
     """The runs of a fleet's folder, or runs by path, name or number; and where models go."""
     from hil.cli.models import found
     from hil.core import DataError
-    from hil.models import MODELS, FleetFolder, completed, is_fleet_folder
-    from hil.recording import RunDirectory
+    from hil.recording import FleetGroup, RunDirectory
 
-    if len(what) == 1 and is_fleet_folder(Path(what[0])):
-        folder, members = FleetFolder.open(Path(what[0]))
-        if not (done := completed(members)):
+    if len(what) == 1 and FleetGroup.is_at(Path(what[0])):
+        fleet = FleetGroup.open(Path(what[0]))
+        if not (done := fleet.completed()):
             raise DataError(
-                f"no robot of {folder.path} has been measured",
-                hint=f"hil fleet resume {folder.path}",
+                f"no robot of {fleet.path} has been measured",
+                hint=f"hil fleet resume {fleet.path}",
             )
-        return done, folder.path / MODELS
+        return done, fleet.models
     return [RunDirectory.open(one).path for one in found(what, runs)], Path("models")

@@ -139,11 +139,12 @@ def report(
     json: JsonFlag = False,
 ) -> None:
     """Write (again) the HTML report of a run, or the overview of a series."""
+    from hil.recording import SeriesGroup
     from hil.report import render_report, render_series
-    from hil.runs import find_run, is_series_folder
+    from hil.runs import find_run
 
     path = find_run(run, runs)
-    page = render_series(path) if is_series_folder(path) else render_report(path)
+    page = render_series(path) if SeriesGroup.is_at(path) else render_report(path)
     if json:
         print_json({"run": str(path), "report": str(page)})
     else:

@@ -81,10 +81,11 @@ def resume(
     """Go on with a run: one that ended early in a new attempt, one that is paused where it is."""
     from hil.core import is_live
     from hil.engine import ignore_from_now_on
-    from hil.runs import find_run, is_series_folder
+    from hil.recording import SeriesGroup
+    from hil.runs import find_run
 
     path = find_run(run, runs)
-    if is_series_folder(path):
+    if SeriesGroup.is_at(path):
         above = path.parents[2]
         series.resume_series(
             path,

@@ -16,7 +16,7 @@ from hil.core import HilError
 if TYPE_CHECKING:
     from hil.core import Source
     from hil.planning import Commissioning, Experiment
-    from hil.runs import SeriesFolder
+    from hil.recording import SeriesGroup
     from hil.workflow import Moves, RunReport, Series, SeriesReport
 
 Document = dict[str, Any]
@@ -101,7 +101,6 @@ def run_series(
         json: Whether to print one document and nothing else.
         confirm: Confirms all robots at once.
     """
-    from hil.runs import SeriesFolder
     from hil.workflow import Moves, check_driver, load_series, require_extras
 
     series = load_series(source, station)
@@ -111,12 +110,13 @@ def run_series(
             require_extras(experiment.spec)
     parts = (replace(each, commissioning=part) for each in series.experiments)
     confirm(Moves(series.source, series.spec.robots, _places(parts)))
-    folder = SeriesFolder.create(runs, series.spec, series.source, station, part)
+    group = series.create_group(runs, station, part)
 
     def execute(experiment: Experiment, document: Document) -> Outcome:
         return _told(begin(replace(experiment, commissioning=part)))
 
-    _run(series, folder, [], execute, json)
+    with group.held():
+        _run(series, group, execute, json)
 
 
 def resume_series(
@@ -133,28 +133,29 @@ def resume_series(
         json: Whether to print one document and nothing else.
         confirm: Confirms all robots that are left at once.
     """
-    from hil.runs import SeriesFolder
-    from hil.workflow import Moves, load_series, not_begun, nothing_left
+    from hil.recording import SeriesGroup
+    from hil.workflow import Moves, commissioning_of_series, load_series
 
-    folder, before = SeriesFolder.open(path)
-    station = folder.head.get("station")
-    series = load_series(Path(folder.head["source"]), Path(station) if station else None)
+    group = SeriesGroup.open(path)
+    station, part = group.head.get("station"), commissioning_of_series(group)
+    series = load_series(Path(group.head["source"]), Path(station) if station else None)
 
     def execute(experiment: Experiment, told: Document) -> Outcome:
         run = Path(told["run"]) if told.get("run") else None
         if run is None:
-            return _told(begin(replace(experiment, commissioning=folder.commissioning)))
+            return _told(begin(replace(experiment, commissioning=part)))
         if told.get("outcome") == "completed" and (run / "verdict.json").is_file():
             return _studied(run, told)
         return _told(resume(run))
 
-    if nothing_left(series, before):
-        _tell_done(series, folder, before, execute, json)
-        return
-    part = folder.commissioning
-    left = (replace(each, commissioning=part) for each in not_begun(series, before))
-    confirm(Moves(series.source, series.spec.robots, _places(left)))
-    _run(series, folder, before, execute, json)
+    with group.held():
+        members = group.members()
+        if series.is_finished(members):
+            _tell_done(series, group, execute, json)
+            return
+        left = (replace(each, commissioning=part) for each in series.without_run(members))
+        confirm(Moves(series.source, series.spec.robots, _places(left)))
+        _run(series, group, execute, json)
 
 
 def _places(experiments: Iterable[Experiment]) -> dict[str, Experiment]:
@@ -162,21 +163,17 @@ def _places(experiments: Iterable[Experiment]) -> dict[str, Experiment]:
     return {f"series.{i}": each for i, each in enumerate(experiments)}
 
 
-def _tell_done(
-    series: Series, folder: SeriesFolder, before: list[Document], execute: Execute, json: bool
-) -> None:
+def _tell_done(series: Series, group: SeriesGroup, execute: Execute, json: bool) -> None:
     from hil.workflow import run_series
 
-    report = run_series(series, folder, execute, before)
+    report = run_series(series, group, execute)
     if json:
         print_json({**report.to_dict(), "exit_code": 0})
         return
     typer.echo(f"nothing is left to do of {series.spec.name}; overview: {_page(report)}")
 
 
-def _run(
-    series: Series, folder: SeriesFolder, before: list[Document], execute: Execute, json: bool
-) -> None:
+def _run(series: Series, group: SeriesGroup, execute: Execute, json: bool) -> None:
     from hil.engine import ignore_from_now_on
     from hil.workflow import run_series
 
@@ -187,7 +184,7 @@ def _run(
         typer.echo(f"{which}: {experiment.title}", err=True)
         return execute(experiment, told)
 
-    report = run_series(series, folder, announced, before)
+    report = run_series(series, group, announced)
     ignore_from_now_on()
     _tell(report, json)
 
@@ -213,16 +210,16 @@ def _tell(report: SeriesReport, json: bool) -> None:
     if json:
         print_json(report.to_dict())
     else:
-        for each in report.ended:
+        for each in report.members:
             if each.report.get("run"):
                 tell_run(Path(each.report["run"]))
                 typer.echo()
-        rows = [(each.experiment, each.robot, each.word) for each in report.ended]
+        rows = [(each.experiment, each.robot, each.word) for each in report.members]
         print_table(("experiment", "robot", "result"), [*rows, *_rows_not_begun(report)])
         typer.echo(f"overview: {_page(report)}")
     if error is None:
         return
-    if not all(each.measured for each in report.ended):
+    if not all(each.measured for each in report.members):
         hint = f"when the cause is mended: hil resume {report.folder}"
         error.hint = f"{error.hint}; {hint}" if error.hint else hint
     fail(error, json)

@@ -7,7 +7,6 @@ document says.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +19,8 @@ from hil.dashboard.catalogue import status_mark, verdict_mark
 from hil.dashboard.rendering import page
 from hil.dashboard.run_files import folder_at, report_address, run_address, run_name, run_named
 from hil.dashboard.settings import Settings, settings_of
-from hil.models import PAGE, FleetFolder, is_fleet_folder
-from hil.recording import folders_in
-from hil.report import as_object, counted, when
+from hil.recording import FleetGroup, Member
+from hil.report import counted, when
 from hil.runs import listing_of
 
 MOST_LISTED = 200
@@ -31,23 +29,18 @@ MOST_LISTED = 200
 def fleets(request: Request) -> Response:
     """Show all fleets, newest first."""
     settings, problems = settings_of(request), list[str]()
-    found = list(_folders(settings.runs))
-    rows = [_row(path, settings, problems) for path in found[:MOST_LISTED]]
+    folders = [one for one in reversed(FleetGroup.folders(settings.runs)) if FleetGroup.is_at(one)]
+    rows = [_row(path, settings, problems) for path in folders[:MOST_LISTED]]
     return page(
         request, "fleets.html.j2", title="Fleets", problems=problems,
-        fleets=[row for row in rows if row], left_out=max(0, len(found) - MOST_LISTED),
+        fleets=[row for row in rows if row], left_out=max(0, len(folders) - MOST_LISTED),
     )  # fmt: skip
-
-
-def _folders(runs: Path) -> Iterator[Path]:
-    """Yield the folders of fleets, the newest day first."""
-    for day in reversed(folders_in(runs)):
-        yield from (one for one in reversed(folders_in(day / "fleet")) if is_fleet_folder(one))
 
 
 def _row(path: Path, settings: Settings, problems: list[str]) -> dict[str, Any] | None:
     try:
-        opened, members = FleetFolder.open(path)
+        group = FleetGroup.open(path)
+        members = group.members()
         address = f"/fleets{run_address(path, settings).removeprefix('/runs')}"
     except HilError as error:
         problems.append(error.message)
@@ -55,11 +48,11 @@ def _row(path: Path, settings: Settings, problems: list[str]) -> dict[str, Any] 
     except ValueError:  # a link that leads out of the folder of runs
         return None
     return {
-        "name": str(opened.head.get("name") or path.name),
+        "name": str(group.head.get("name") or path.name),
         "folder": run_name(path, settings),
         "address": address,
         "page": _page_address(path, settings),
-        "started": when(opened.head.get("started")),
+        "started": when(group.head.get("started")),
         "robots": len(members),
         "told": _summary([_documented(one) for one in members]),
         "live": holder_of(path / ".lock") is not None,
@@ -68,7 +61,8 @@ def _row(path: Path, settings: Settings, problems: list[str]) -> dict[str, Any] 
 
 def _page_address(path: Path, settings: Settings) -> str:
     """Return the path of its own page; empty if none was made."""
-    return f"{run_address(path, settings)}/{PAGE}" if (path / PAGE).is_file() else ""
+    page = FleetGroup.page_in(path)
+    return f"{run_address(path, settings)}/{page.name}" if page.is_file() else ""
 
 
 def _summary(rows: list[dict[str, Any]]) -> str:
@@ -79,11 +73,11 @@ def _summary(rows: list[dict[str, Any]]) -> str:
     return "; ".join(filter(None, parts)) or counted(0, "robot")
 
 
-def _documented(member: Mapping[str, Any]) -> dict[str, str]:
+def _documented(member: Member) -> dict[str, str]:
     """Return what the fleet's document says of a robot; nothing else is opened."""
     return {
-        "status": str(member.get("outcome") or "not begun"),
-        "verdict": str(member.get("verdict") or ""),
+        "status": str(member.report.get("outcome") or "not begun"),
+        "verdict": str(member.report.get("verdict") or ""),
     }
 
 
@@ -91,35 +85,35 @@ def fleet(request: Request) -> Response:
     """Show one fleet, robot by robot."""
     settings, name = settings_of(request), request.path_params["name"]
     path = folder_at(name, settings)
-    if not is_fleet_folder(path):
+    if not FleetGroup.is_at(path):
         raise DataError(f"there is no fleet {name} in {settings.runs}", hint="look at /fleets")
-    opened, members = FleetFolder.open(path)
+    group = FleetGroup.open(path)
     held = holder_of(path / ".lock")
-    rows = [_member(one, settings) for one in members]
+    rows = [_member(one, settings) for one in group.members()]
     return page(
-        request, "fleet.html.j2", title=str(opened.head.get("name") or path.name),
-        name=run_name(path, settings), started=when(opened.head.get("started")),
-        source=str(opened.head.get("source") or ""), held=str(held) if held else "",
+        request, "fleet.html.j2", title=str(group.head.get("name") or path.name),
+        name=run_name(path, settings), started=when(group.head.get("started")),
+        source=str(group.head.get("source") or ""), held=str(held) if held else "",
         told=_summary(rows), members=rows, page_address=_page_address(path, settings),
         commands=_commands(path, rows, held is not None, settings),
     )  # fmt: skip
 
 
-def _member(member: Mapping[str, Any], settings: Settings) -> dict[str, Any]:
+def _member(member: Member, settings: Settings) -> dict[str, Any]:
     """Return a row of a robot: as its run says now, else as the fleet's document says."""
-    documented = _documented(member)
-    run = run_named(str(member.get("run") or ""), settings, str(member.get("uid") or ""))
+    documented, where = _documented(member), str(member.run or "")
+    run = run_named(where, settings, str(member.report.get("uid") or ""))
     status = listing_of(run).status if run else documented["status"]
     return {
-        "robot": str(member["robot"]),
-        "run": Path(str(member.get("run") or "")).name,
+        "robot": member.robot,
+        "run": Path(where).name,
         "address": run_address(run, settings) if run else "",
         "report": report_address(run, settings) if run else "",
         "status": status,
         "status_mark": status_mark(status),
         "verdict": documented["verdict"],
         "verdict_mark": verdict_mark(documented["verdict"]),
-        "error": str(as_object(member.get("error")).get("message") or ""),
+        "error": member.error.message if member.error else "",
     }
 
 

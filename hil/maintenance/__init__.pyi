@@ -8,13 +8,13 @@ from .dry_run import require_room as require_room
 from .due_times import choose as choose
 from .due_times import occasions as occasions
 from .fleet_run import FleetReport as FleetReport
+from .fleet_run import Manner as Manner
 from .fleet_run import robots_left as robots_left
 from .fleet_run import run_fleet as run_fleet
 from .fleet_specs import experiment_for as experiment_for
 from .fleet_specs import robots_like as robots_like
 from .fleet_specs import robots_named as robots_named
 from .fleet_specs import spec_for as spec_for
-from .fleet_workers import Manner as Manner
 from .ledger import LEDGER_FILE as LEDGER_FILE
 from .ledger import Ledger as Ledger
 from .ledger import Line as Line

@@ -1,25 +1,60 @@
-"""An experiment run by many robots of one station, some at a time.
+"""A fleet run: one experiment on many robots of a station, some at a time.
 
-Every robot's run is made by a worker process of its own (`fleet_workers`). What a robot has
-measured and judged is not done again; a run that ended early is continued. The folder's document
-is written anew after every robot, and where it says less than the runs themselves (this process
-was killed), the runs count.
+Every robot's run is made by a worker process of its own, so that signals are the run's and no run
+ends another's. What a robot has measured and judged is not done again; a run that ended early is
+resumed. The document of the fleet (`hil.recording.FleetGroup`) is written anew after every robot,
+and where it says less than the runs themselves (this process was killed), the runs count.
+
+The first signal to the fleet stops every arm and starts no other, each further one is passed on:
+the third ends the workers as it would end a run. A worker whose fleet process dies stops its arm.
 """
 
 from __future__ import annotations
 
+import multiprocessing
+import os
+import signal
+import threading
 from collections import deque
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from hil.core import HilError, Rejected, RobotError, Stopped, exit_code_of
+from hil.core import HilError, Rejected, RobotError, Stopped, errors, exit_code_of, one_thread
+from hil.engine import WATCHED, nobody_goes_on
 from hil.estimators import models_below
 from hil.evaluation import verdict_word
-from hil.maintenance.fleet_workers import Document, Manner, Workers, error_of
-from hil.models import FleetFolder
-from hil.recording import RunDirectory
-from hil.workflow import Ended
+from hil.maintenance.fleet_specs import experiment_for
+from hil.recording import FleetGroup, Member, RunDirectory, worst_error
+from hil.workflow import Together, Unconfirmed, check_driver, console_desk
+from hil.workflow import resume as resume_experiment
+from hil.workflow import run as run_experiment
+
+if TYPE_CHECKING:
+    from hil.workflow import Confirm, Desk, RunReport
+
+Document = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Manner:
+    """How the runs of a fleet are done.
+
+    Attributes:
+        workers: Robots at a time.
+        operator: Who is at the robots; by default the user of this process.
+        waivers: Preflight check → why its failure is accepted.
+        confirmed: That their real robots may move; None if they have none.
+    """
+
+    workers: int
+    operator: str = ""
+    waivers: Mapping[str, str] | None = None
+    confirmed: Together | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,117 +63,310 @@ class FleetReport:
 
     Attributes:
         folder: Of the fleet.
-        ended: Every robot that was begun, now or before.
-        left: Robots that were not begun.
+        members: Every robot whose run was started, now or before.
+        left: Names of the others.
     """
 
     folder: Path
-    ended: tuple[Ended, ...]
+    members: tuple[Member, ...]
     left: tuple[str, ...]
 
     @property
     def error(self) -> HilError | None:
         """The worst: a stop, a robot that did not measure all, a missing model, a rejection."""
-        stopped = [one.error for one in self.ended if isinstance(one.error, Stopped)]
-        early = [one.error for one in self.ended if not one.measured and one.error]
-        wrong = [one.error for one in self.ended if one.error]
-        if self.left and not stopped:
-            stopped = [
-                Stopped(
-                    f"{len(self.left)} robots were not begun",
-                    by_signal=True,
-                    hint="hil fleet resume FOLDER goes on with them",
-                )
-            ]
-        bad = [one for one in self.ended if one.word == "rejected"]
-        missed = [
-            Rejected(
-                f"{len(bad)} of {len(self.ended)} models missed their criteria",
+        worst = worst_error(self.members)
+        if self.left and not isinstance(worst, Stopped):
+            return Stopped(
+                f"{len(self.left)} robots were not begun",
+                by_signal=True,
+                hint="hil fleet resume FOLDER goes on with them",
+            )
+        rejected = [member for member in self.members if member.word == "rejected"]
+        if worst is None and rejected:
+            return Rejected(
+                f"{len(rejected)} of {len(self.members)} models missed their criteria",
                 hint="hil fleet report FOLDER shows which and by how much",
             )
-        ]
-        return next(iter([*stopped, *early, *wrong, *(missed if bad else ())]), None)
+        return worst
 
     def to_dict(self) -> Document:
-        """The contract of `hil fleet run --json`."""
+        """Return the contract of `hil fleet run --json`."""
         return {
             "fleet": str(self.folder),
-            "robots": [one.to_dict() for one in self.ended],
+            "robots": [member.to_dict() for member in self.members],
             "left": list(self.left),
             "exit_code": exit_code_of(self.error) if self.error else 0,
         }
 
 
-OnEnd = Callable[[Ended, int, int], object]
-"""Called with a robot's end, how many have ended, and how many robots there are."""
+OnEnd = Callable[[Member, int, int], object]
+"""Called with a robot whose run has ended, how many have, and how many robots there are."""
 
 
-def run_fleet(
-    folder: FleetFolder, members: Sequence[Document], manner: Manner, tell: OnEnd
-) -> FleetReport:
+def run_fleet(group: FleetGroup, manner: Manner, tell: OnEnd) -> FleetReport:
     """Run what is left of a fleet.
 
     Args:
-        folder: Held by this process.
-        members: Entries of its document.
+        group: Its folder, held by this process.
         manner: How runs are made.
-        tell: Called with every robot that has ended.
+        tell: Called with every robot whose run has ended.
     """
-    entries = [_entry_with_newest_run(folder, one) for one in members]
-    todo = deque(i for i, one in enumerate(entries) if not one.measured)
-    fleet = Workers(folder, manner)
-    with fleet.signals():
-        while (todo and not fleet.stopping) or fleet.going:
-            while todo and not fleet.stopping and len(fleet.going) < manner.workers:
+    members = [_with_newest_run(group, member) for member in group.members()]
+    todo = deque(i for i, member in enumerate(members) if not member.measured)
+    workers = Workers(group, manner)
+    with workers.signals():
+        while (todo and not workers.stopping) or workers.running:
+            while todo and not workers.stopping and len(workers.running) < manner.workers:
                 i = todo.popleft()
-                fleet.begin(i, entries[i])
-            for i, answer in fleet.ended():
-                entries[i] = _entry_after_worker(folder, entries[i], answer)
-                folder.write([one.to_dict() for one in entries])
-                tell(entries[i], len(entries) - len(todo) - len(fleet.going), len(entries))
-    begun = [i for i in range(len(entries)) if i not in todo or entries[i].report]
+                workers.start(i, members[i])
+            for i, answer in workers.answers():
+                members[i] = _after_worker(group, members[i], answer)
+                group.write(members)
+                ended = len(members) - len(todo) - len(workers.running)
+                tell(members[i], ended, len(members))
+    begun = [i for i, member in enumerate(members) if i not in todo or member.report]
     return FleetReport(
-        folder.path,
-        tuple(entries[i] for i in begun),
-        tuple(entries[i].robot for i in todo if i not in begun),
+        group.path,
+        tuple(members[i] for i in begun),
+        tuple(members[i].robot for i in todo if i not in begun),
     )
 
 
-def _entry_with_newest_run(folder: FleetFolder, entry: Document) -> Ended:
-    """A robot's entry, or what its newest run says where that is more."""
-    known = Ended.from_dict({"experiment": folder.head["name"], **entry})
-    run = folder.run_of(known.robot)
-    if known.measured or run is None:
-        return known
-    return replace(known, report=_report_from_disk(run), error=None)
+def _with_newest_run(group: FleetGroup, member: Member) -> Member:
+    """Return a robot as its newest run has it, if that says more than the document."""
+    run = None if member.measured else group.run_of(member.robot)
+    return member if run is None else replace(member, report=_report_from_disk(run), error=None)
 
 
 def _report_from_disk(run: Path) -> Document:
-    """A run's report as far as its directory tells it."""
+    """Return a run's report as far as its directory tells it."""
     directory = RunDirectory.open(run)
-    judged = directory.status == "completed" and (run / "verdict.json").is_file()
+    status = directory.status
     page = run / "report.html"
     return {
         "run": str(run),
         "uid": directory.start.get("uid", ""),
-        "outcome": directory.status if judged or directory.status != "completed" else "interrupted",
+        # Measured in full, but not judged: resuming the run does that.
+        "outcome": "interrupted" if status == "completed" and not directory.is_judged else status,
         "verdict": verdict_word(run),
         "models": [str(folder) for folder in models_below(run)],
         "report": str(page) if page.is_file() else None,
     }
 
 
-def _entry_after_worker(folder: FleetFolder, before: Ended, answer: Document) -> Ended:
-    """A robot's entry by its worker's answer; of a worker that died, by its run."""
-    error = error_of(answer)
-    report = {key: value for key, value in answer.items() if key != "error"}
-    if not report and (run := folder.run_of(before.robot)) is not None:
-        report = _report_from_disk(run)
-    after = Ended(before.experiment, before.robot, report, error)
-    died_after_all = isinstance(error, RobotError) and after.measured
+def _after_worker(group: FleetGroup, before: Member, answer: Document) -> Member:
+    """Return a robot by its worker's answer; if the worker died, by its run."""
+    about = {"experiment": before.experiment, "robot": before.robot}
+    after = Member.from_dict({**answer, **about})
+    if isinstance(after.error, Stopped):
+        after.error.by_signal = True
+    if not after.report and (run := group.run_of(before.robot)) is not None:
+        after = replace(after, report=_report_from_disk(run))
+    died_after_all = isinstance(after.error, RobotError) and after.measured
     return replace(after, error=None) if died_after_all else after
 
 
-def robots_left(folder: FleetFolder, members: Sequence[Document]) -> list[str]:
+def robots_left(group: FleetGroup) -> list[str]:
     """Return the robots without a run; resumed runs keep their own confirmation."""
-    return [one["robot"] for one in members if folder.run_of(one["robot"]) is None]
+    return [one.robot for one in group.members() if group.run_of(one.robot) is None]
+
+
+class Workers:
+    """The worker processes of a fleet, one per robot.
+
+    Args:
+        group: Of the fleet.
+        manner: How runs are made.
+
+    Attributes:
+        running: Where each worker answers → its number and its process.
+        stopping: Whether a signal has come: no further worker is started.
+    """
+
+    def __init__(self, group: FleetGroup, manner: Manner) -> None:
+        self._group, self._manner = group, manner
+        self.running: dict[Connection, tuple[int, BaseProcess]] = {}
+        self.stopping = False
+
+    @contextmanager
+    def signals(self) -> Iterator[None]:
+        """Pass signals on to the workers while inside; they interrupt nothing here."""
+
+        def stop(number: int, frame: object) -> None:
+            self.stopping = True
+            self._pass_on()
+
+        main = threading.current_thread() is threading.main_thread()
+        heard = [n for n in WATCHED if main and signal.getsignal(n) is not signal.SIG_IGN]
+        before = {number: signal.signal(number, stop) for number in heard}
+        try:
+            yield
+        except BaseException:
+            self._pass_on()  # such as a full disk: the arms would go on without supervision
+            raise
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+    def _pass_on(self) -> None:
+        for _, process in list(self.running.values()):
+            _terminate(process)
+
+    def start(self, i: int, member: Member) -> None:
+        """Start the worker of a robot; Ctrl-C at the terminal does not reach it."""
+        context = multiprocessing.get_context("spawn")
+        ours, theirs = context.Pipe(duplex=False)
+        process = context.Process(
+            target=worker_main, args=(self._job(member), theirs), name=member.robot
+        )
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+        try:
+            process.start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        theirs.close()
+        self.running[ours] = (i, process)
+        if self.stopping:  # the signal came while it was started
+            _terminate(process)
+
+    def _job(self, member: Member) -> Job:
+        head, manner, run = self._group.head, self._manner, member.run
+        return Job(
+            spec=self._group.spec_of(member.robot),
+            folder=Path(head["source"]).parent,
+            station=str(head["station"]),
+            runs=self._group.runs,
+            before=run if run is not None and (run / "plan.json").is_file() else None,
+            operator=manner.operator,
+            waivers=manner.waivers or {},
+            confirmed=manner.confirmed,
+        )
+
+    def answers(self) -> Iterator[tuple[int, Document]]:
+        """Wait for the next workers to answer or to die; yield the number and the answer of each.
+
+        An answer is the report of the run as `hil run --json` has it, with `error` (`kind`,
+        `message`, `hint`) if it did not go well.
+        """
+        for connection in wait(list(self.running)):
+            assert isinstance(connection, Connection)
+            i, process = self.running[connection]
+            try:
+                answer: Document | None = connection.recv()
+            except (EOFError, OSError):
+                answer = None
+            _wait_until_gone(process)
+            del self.running[connection]  # not before: signals are passed on to it until it is gone
+            connection.close()
+            yield i, {"error": _cause_of_death(process)} if answer is None else answer
+
+
+def _terminate(process: BaseProcess) -> None:
+    if process.pid is not None and process.exitcode is None:
+        with suppress(ProcessLookupError):
+            os.kill(process.pid, signal.SIGTERM)
+
+
+GONE_S = 10.0
+"""Within this time a worker that has answered should have ended by itself [s]."""
+
+
+def _wait_until_gone(process: BaseProcess) -> None:
+    """Wait until a worker that has answered is gone; its arm is at rest, so it may be killed."""
+    process.join(GONE_S)
+    for end in (process.terminate, process.kill):
+        if process.exitcode is None:
+            end()
+            process.join(GONE_S)
+
+
+def _cause_of_death(process: BaseProcess) -> Document:
+    code = process.exitcode or 0
+    if code in (-signal.SIGTERM, 130):
+        return {"kind": "Stopped", "message": "stopped by SIGTERM"}
+    how = f"killed by {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
+    return {"kind": "RobotError", "message": f"the process of its run died ({how})"}
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """The run that a worker makes.
+
+    Attributes:
+        spec: The spec as the robot runs it.
+        folder: Where relative paths in it begin.
+        station: The station's file; empty for the one an experiment there would use.
+        runs: Where run directories are kept.
+        before: A run to resume; None to begin one.
+        operator: Who is at the robots.
+        waivers: Preflight check → why its failure is accepted.
+        confirmed: That the fleet's real robots may move; None if it has none.
+    """
+
+    spec: Path
+    folder: Path
+    station: str
+    runs: Path
+    before: Path | None = None
+    operator: str = ""
+    waivers: Mapping[str, str] = field(default_factory=dict)
+    confirmed: Together | None = None
+
+
+def worker_main(job: Job, answer: Connection) -> None:
+    """Do a job and send the answer; the entry of a worker process.
+
+    Ctrl-C is for the process that started this one, which passes it on as SIGTERM. When that
+    process dies, the motion is stopped.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, name="hil-parent", daemon=True).start()
+    with one_thread():
+        answer.send(run_job(job))
+
+
+def _end_with_parent() -> None:
+    """Wait for the death of the fleet's process, then stop the arm, as by SIGTERM."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os.kill(os.getpid(), signal.SIGTERM)
+
+
+def run_job(job: Job) -> Document:
+    """Return the answer of a job's run, see `Workers.answers`."""
+    try:
+        report = _run_attended(job)
+    except HilError as error:
+        return {"error": _error_document(error)}
+    except Exception as error:  # drivers are plug-ins: whatever one of them raises is its robot's
+        return {"error": {"kind": "RobotError", "message": f"{type(error).__name__}: {error}"}}
+    document = report.to_dict()
+    return document | ({"error": _error_document(report.error)} if report.error else {})
+
+
+def _run_attended(job: Job) -> RunReport:
+    def desk(confirm: Confirm | None) -> Desk:
+        refused = Unconfirmed("start it with: hil fleet run")
+        attended = console_desk(job.operator, confirm=confirm or refused)
+        # A worker has no console: nothing typed ends a pause.
+        return replace(attended, go_on=nobody_goes_on)
+
+    together, before = job.confirmed, job.before
+    if before is not None:
+        robot = str(RunDirectory.open(before).start.get("robot_name", ""))
+        at = desk(together.resume(robot, before) if together else None)
+        return resume_experiment(before, operator=job.operator, waivers=job.waivers, desk=at)
+    station = Path(job.station) if job.station else None
+    experiment = experiment_for(job.spec.read_text("utf-8"), job.folder, station, job.spec)
+    check_driver(experiment)
+    at = desk(together.begin(experiment) if together else None)
+    return run_experiment(
+        experiment, runs=job.runs, operator=job.operator, waivers=job.waivers, desk=at
+    )
+
+
+def _error_document(error: HilError) -> Document:
+    # A plug-in's own class is unknown where the answer is read: its base is sent instead.
+    known = (one.__name__ for one in type(error).__mro__ if hasattr(errors, one.__name__))
+    return {"kind": next(known), "message": error.message, "hint": error.hint}

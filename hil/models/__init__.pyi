@@ -16,11 +16,6 @@ from .fleet_fits import fit_runs as fit_runs
 from .fleet_fits import register_fit as register_fit
 from .fleet_fits import robot_of as robot_of
 from .fleet_fits import store_fits as store_fits
-from .fleet_folder import MODELS as MODELS
-from .fleet_folder import PAGE as PAGE
-from .fleet_folder import FleetFolder as FleetFolder
-from .fleet_folder import completed as completed
-from .fleet_folder import is_fleet_folder as is_fleet_folder
 from .fleet_outliers import FAMILY_WISE as FAMILY_WISE
 from .fleet_outliers import FEWEST as FEWEST
 from .fleet_outliers import Comparison as Comparison

@@ -23,9 +23,9 @@ from hil.evaluation import usable_part
 from hil.importers import load_source
 from hil.models.drift import Probe, assess, probes_of
 from hil.models.fleet_fits import results_of, robot_of
-from hil.models.fleet_folder import MODELS, FleetFolder, completed
 from hil.models.fleet_outliers import FAMILY_WISE, Comparison, compare_robots
 from hil.models.model_registry import Registry
+from hil.recording import FleetGroup
 from hil.spec import load_station
 
 
@@ -171,19 +171,19 @@ def survey_fleet(path: Path, registry: Registry, *, workers: int) -> Survey:
         DataError: It is no fleet, nothing was measured, or its robots are different arms.
         FitError: Processes died again and again.
     """
-    folder, members = FleetFolder.open(path)
-    runs = completed(members)
+    fleet = FleetGroup.open(path)
+    runs = fleet.completed()
     if not runs:
         raise DataError(
-            f"no robot of {folder.path} has been measured", hint=f"hil fleet resume {folder.path}"
+            f"no robot of {fleet.path} has been measured", hint=f"hil fleet resume {fleet.path}"
         )
-    tasks = [partial(survey_robot, run, _model_of(folder, run)) for run in runs]
+    tasks = [partial(survey_robot, run, _model_of(fleet, run)) for run in runs]
     known = set(registry.names())
     found: list[SurveyedRobot] = results_of(tasks, workers, None, lambda done: None)
     robots = [_with_last_probe(one, registry) if one.robot in known else one for one in found]
     if len({one.joint_names for one in robots if one.joint_names}) > 1:
         raise DataError(
-            f"the robots of {folder.path} are different arms",
+            f"the robots of {fleet.path} are different arms",
             hint="run a fleet of each: their friction cannot be compared",
         )
     n = max(len(one.joint_names) for one in robots)
@@ -192,16 +192,16 @@ def survey_fleet(path: Path, registry: Registry, *, workers: int) -> Survey:
         "temperature": np.array([_wide(one.temperature, n) for one in robots]),
     }
     return Survey(
-        str(folder.head["name"]), folder.path, tuple(robots),
-        tuple(one["robot"] for one in members if one.get("outcome") != "completed"),
+        str(fleet.head["name"]), fleet.path, tuple(robots),
+        tuple(one.robot for one in fleet.members() if one.report.get("outcome") != "completed"),
         compare_robots(np.array([_wide(one.friction, n) for one in robots]), given),
         compare_robots(np.array([_wide(one.change, n) for one in robots]), given),
     )  # fmt: skip
 
 
-def _model_of(folder: FleetFolder, run: Path) -> Path | None:
+def _model_of(fleet: FleetGroup, run: Path) -> Path | None:
     """The model fitted last: by `hil fleet fit` of this fleet, else by the run itself."""
-    ours = [one.parent for one in (folder.path / MODELS / robot_of(run)).glob("*/model.json")]
+    ours = [one.parent for one in (fleet.models / robot_of(run)).glob("*/model.json")]
     newest = max(ours, key=lambda one: (one / "model.json").stat().st_mtime, default=None)
     return newest or next(iter(models_below(run)), None)
 
@@ -311,7 +311,7 @@ def probe_fleet(path: Path, registry: Registry, false_alarm: float) -> list[Robo
     Raises:
         DataError: It is no fleet.
     """
-    runs = completed(FleetFolder.open(path)[1])
+    runs = FleetGroup.open(path).completed()
     each = 1.0 - (1.0 - false_alarm) ** (1.0 / max(1, len(runs)))
     return [_probe_robot(registry, run, each) for run in runs]
 

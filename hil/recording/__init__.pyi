@@ -29,10 +29,15 @@ from .run_directory import Outcome as Outcome
 from .run_directory import RunDirectory as RunDirectory
 from .run_directory import RunStatus as RunStatus
 from .run_directory import folders_in as folders_in
+from .run_directory import is_run as is_run
 from .run_directory import name_for_path as name_for_path
 from .run_directory import name_of_attempt as name_of_attempt
 from .run_directory import number_of as number_of
 from .run_directory import run_folders as run_folders
+from .run_group import FleetGroup as FleetGroup
+from .run_group import Member as Member
+from .run_group import SeriesGroup as SeriesGroup
+from .run_group import worst_error as worst_error
 from .viewer_messages import EVENT_SCHEMA as EVENT_SCHEMA
 from .viewer_messages import EVENT_TEXT as EVENT_TEXT
 from .viewer_messages import EVENT_TOPIC as EVENT_TOPIC

@@ -371,6 +371,14 @@ def name_for_path(name: str) -> str:
     return re.sub(r"[^a-z0-9._]+", "-", name.lower()).strip("-.") or "run"
 
 
+def is_run(path: Path) -> bool:
+    """Return whether a folder is a run, if a damaged one: by its name or its start document.
+
+    The folders of series and fleets lie where runs lie, and are none.
+    """
+    return number_of(path) > 0 or (path / "start.json").exists()
+
+
 def run_folders(runs_root: Path) -> list[Path]:
     """Return every folder where a run may be, `DAY/ROBOT/RUN`; a vanished one is left out."""
     days = folders_in(Path(runs_root))

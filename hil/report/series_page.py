@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
+from hil.recording import SeriesGroup
 from hil.report.documents import Document, as_objects, document
 from hil.report.fit_facts import FitFacts, best_first, model_folders, read_fits
 from hil.report.model_sections import HELD_OUT
@@ -19,7 +20,6 @@ from hil.report.words import UNKNOWN, number, when
 from hil.studies import Part, StudyResult
 from hil.studies import Table as StudyTable
 
-PAGE = "series.html"
 VERDICTS = {"passed": True, "rejected": False}
 
 
@@ -46,19 +46,20 @@ def render_series(folder: Path) -> Path:
     Raises:
         DataError, RecordingError: The document cannot be read, or the page not be written.
     """
-    return write_page(series_page(folder), folder / PAGE)
+    return write_page(series_page(folder), SeriesGroup.page_in(folder))
 
 
 def series_page(folder: Path) -> Page:
     """The page as blocks."""
     problems: list[str] = []
-    told = document(folder / "series.json", problems)
-    runs = [_run(folder, entry, problems) for entry in as_objects(told.get("runs"))]
+    # Not as a group: a page is made of a damaged document, too, and says what is wrong with it.
+    head = document(SeriesGroup.document_in(folder), problems)
+    runs = [_run(folder, entry, problems) for entry in as_objects(head.get(SeriesGroup.entries))]
     return Page(
-        title=str(told.get("name", folder.name)),
-        subtitle=f"Series of {len(runs)} runs, begun {when(told.get('started')) or UNKNOWN}",
+        title=str(head.get("name", folder.name)),
+        subtitle=f"Series of {len(runs)} runs, begun {when(head.get('started')) or UNKNOWN}",
         badge=_badge(runs),
-        summary=str(told.get("description", "")),
+        summary=str(head.get("description", "")),
         warnings=tuple(problems),
         sections=(
             Section(

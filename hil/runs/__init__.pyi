@@ -15,5 +15,3 @@ from .retention import Policy as Policy
 from .retention import decide as decide
 from .retention import leftovers as leftovers
 from .retention import remove as remove
-from .series_folder import SeriesFolder as SeriesFolder
-from .series_folder import is_series_folder as is_series_folder

@@ -1,21 +1,21 @@
-"""Lists of runs: which there are, what each says of itself, and which one a name means.
+"""Lists of runs: which there are, what the documents of each say, and which one a name means.
 
-Everything here is a view of the run directories, and a run that is damaged, or a document that is
-missing or odd, breaks no list: it says nothing, or the run is listed as `damaged`.
+Everything here is a view of the run directories. A damaged run is listed as `damaged`, and a
+document that is missing or odd leaves its facts empty: neither breaks the list.
 
-==================  ==========================================================
+==================  ============================================================
 `RunListing`        where a run is and how it ended: one line of `hil runs`
 `entry_of`          the same as JSON, with duration, verdict and studies
-`facts_of`          and all that `hil runs QUERY` can ask (see `hil.runs.query`)
+`facts_of`          and all that `hil runs QUERY` compares (see `hil.runs.query`)
 `describe_run`      all that the documents of one run say (`hil show --json`)
-==================  ==========================================================
+==================  ============================================================
 """
 
 from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -31,6 +31,7 @@ from hil.recording import (
     PRUNED,
     RunDirectory,
     RunStatus,
+    is_run,
     name_for_path,
     name_of_attempt,
     number_of,
@@ -46,11 +47,11 @@ ListedStatus = RunStatus | Literal["running", "damaged"]
 
 @dataclass(frozen=True, slots=True)
 class RunListing:
-    """One line of the catalogue.
+    """Where a run is and how it ended.
 
     Attributes:
         path: The run directory.
-        number: Its running number, 0 when somebody has renamed it.
+        number: Its running number, 0 if it was renamed.
         date: Folder of the day it was started, ISO 8601.
         robot: Folder of the robot.
         status: How it ended, `running` while a process holds it, or `damaged`.
@@ -68,7 +69,7 @@ class RunListing:
 
 
 def run_listings(runs_root: Path) -> list[RunListing]:
-    """Every run under `runs_root`, by number; damaged directories are listed as such.
+    """Return every run under `runs_root`, by number; damaged directories are listed as such.
 
     Raises:
         DataError: `runs_root` is a file. A folder that does not exist holds no runs.
@@ -78,7 +79,7 @@ def run_listings(runs_root: Path) -> list[RunListing]:
 
 
 def run_paths(runs_root: Path) -> list[Path]:
-    """Every run directory under `runs_root`, damaged ones too; nothing in them is read.
+    """Return every run directory under `runs_root`, damaged ones too; nothing in them is read.
 
     Raises:
         DataError: `runs_root` is a file.
@@ -88,14 +89,21 @@ def run_paths(runs_root: Path) -> list[Path]:
             f"{runs_root} is not a folder of runs but a file",
             hint="give the folder that holds them: --runs DIR",
         )
-    return [
-        path for path in run_folders(runs_root) if number_of(path) or (path / "start.json").exists()
-    ]
+    return [path for path in run_folders(runs_root) if is_run(path)]
 
 
 def listing_of(path: Path) -> RunListing:
-    """The line of one run directory."""
-    status, uid, problem = _state_of(path)
+    """Return the line of one run directory."""
+    live, uid, problem = is_live(path), "", ""
+    status: ListedStatus = "damaged"
+    try:
+        run = RunDirectory.open(path)
+        status, uid = "running" if live else run.status, str(run.start.get("uid", ""))
+    except DataError as error:
+        # A live run may not have written its start document yet.
+        status, problem = ("running", "") if live else ("damaged", error.message)
+    except OSError as error:
+        problem = str(error)
     return RunListing(
         path=path,
         number=number_of(path),
@@ -107,51 +115,43 @@ def listing_of(path: Path) -> RunListing:
     )
 
 
-def _state_of(path: Path) -> tuple[ListedStatus, str, str]:
-    live = is_live(path)
-    try:
-        run = RunDirectory.open(path)
-        return "running" if live else run.status, str(run.start.get("uid", "")), ""
-    except DataError as error:
-        # A run that has just begun has not written its start document yet.
-        return ("running", "", "") if live else ("damaged", "", error.message)
-    except OSError as error:
-        return "damaged", "", str(error)
-
-
-def find_run(named: str, runs_root: Path) -> Path:
-    """The run directory somebody means.
+def find_run(name: str, runs_root: Path) -> Path:
+    """Return the run directory of a name.
 
     Args:
-        named: A path, a directory's name, a number (`42`), the name of an experiment, of which the
-            newest run is meant, or `last` for the newest of all.
+        name: A path, a directory's name, a number (`42`), the name of an experiment for its newest
+            run, or `last` for the newest run of all.
         runs_root: The folder of runs.
 
     Raises:
         DataError: It is a recording instead of a run, or no run under `runs_root` is called so.
     """
-    path = Path(named)
+    path = Path(name)
     if path.is_dir():
         return path
     if path.is_file():
         raise _no_run(path)
     folders = run_folders(runs_root)
-    number = int(named) if named.isdecimal() else 0
-    found = [run for run in folders if run.name == named or (number and number_of(run) == number)]
-    if len(found) == 1:
-        return found[0]
-    if found:
-        listed = ", ".join(str(run) for run in found)
-        raise DataError(f"{len(found)} runs are called {named}: {listed}", hint="give the path")
-    if (newest := _newest(named, folders)) is not None:
-        return newest
-    guess = None if number else closest(named, [run.name for run in folders])
+    number = int(name) if name.isdecimal() else 0
+    called = [run for run in folders if run.name == name or (number and number_of(run) == number)]
+    if len(called) == 1:
+        return called[0]
+    if called:
+        listed = ", ".join(str(run) for run in called)
+        raise DataError(f"{len(called)} runs are called {name}: {listed}", hint="give the path")
+    candidates = [run for run in folders if number_of(run)]
+    if name != LAST:
+        own = name_for_path(name)
+        candidates = [run for run in candidates if run.name.partition("-")[2] == own]
+    if candidates:
+        return max(candidates, key=number_of)
+    guess = None if number else closest(name, [run.name for run in folders])
     hint = f"did you mean {guess!r}?" if guess else f"list them with: hil runs --runs {runs_root}"
-    raise DataError(f"there is no run {named}, here or under {runs_root}", hint=hint)
+    raise DataError(f"there is no run {name}, here or under {runs_root}", hint=hint)
 
 
 def _no_run(file: Path) -> DataError:
-    """What to do with a file that was given where a run directory is needed."""
+    """Return the error for a file where a run directory is needed, with what to do instead."""
     if not file.name.endswith((".mcap", f".mcap{PARTIAL_SUFFIX}")):
         return DataError(f"{file} is a file, not a run directory", hint="list them with: hil runs")
     run = file.resolve().parent.parent
@@ -162,20 +162,11 @@ def _no_run(file: Path) -> DataError:
     return DataError(f"{file} is a recording, not a run directory", hint=hint)
 
 
-def _newest(named: str, folders: Iterable[Path]) -> Path | None:
-    """The newest run of an experiment of that name; `last` stands for any."""
-    own = name_for_path(named)
-    of_it = [run for run in folders if number_of(run)]
-    if named != LAST:
-        of_it = [run for run in of_it if run.name.partition("-")[2] == own]
-    return max(of_it, key=number_of, default=None)
-
-
 def list_runs(runs: str | Path = "runs") -> list[dict[str, Any]]:
-    """One entry per run directory, damaged and interrupted ones included, oldest first.
+    """Return one entry per run directory, damaged and interrupted ones included, oldest first.
 
     Keys: `run`, `status`, `robot`, `date`, `uid`, `duration_s`, `verdict`, `studies`, `problem`,
-    `next` (the command that brings a run to its end; empty where nothing is left to do).
+    `next` (the command that completes the run; empty if nothing is left to do).
     """
     return [
         entry_of(listing) | {"next": next_command(listing)} for listing in run_listings(Path(runs))
@@ -204,7 +195,7 @@ def next_command(listing: RunListing) -> str:
 
 
 def _document(path: Path) -> dict[str, Any] | None:
-    """A view never fails because one file is missing or damaged: that file just says nothing."""
+    """Return a JSON document; None if the file is missing or damaged, as no view fails for that."""
     try:
         return read_json(path) if path.is_file() else None
     except DataError:
@@ -215,7 +206,7 @@ _STUDY_FILES = "study/*/study.json"
 
 
 def describe_run(run: str | Path) -> dict[str, Any]:
-    """Everything the JSON files of a run directory say.
+    """Return everything that the JSON files of a run directory say.
 
     Raises:
         DataError: It is no run directory, or was written by a newer version.
@@ -242,22 +233,22 @@ def describe_run(run: str | Path) -> dict[str, Any]:
 
 
 def _study(file: Path) -> dict[str, Any] | None:
-    """What a study comes to; its curves are in the file."""
+    """Return the summary of a study; its tables and curves are in the file."""
     document = _document(file)
     keys = ("study", "title", "summary", "parameters", "seconds", "warnings")
     return document and {key: document.get(key) for key in keys}
 
 
 def _number_in(document: Mapping[str, Any], key: str) -> float | None:
-    """A number to calculate and to compare with; None where anything else stands there."""
+    """Return a number that SQLite can hold; None if anything else stands there, NaN included."""
     value = document.get(key)
     if not isinstance(value, int | float) or isinstance(value, bool):
         return None
-    return value if -(2**63) < value < 2**63 else None  # so NaN is none, too
+    return value if -(2**63) < value < 2**63 else None
 
 
 def entry_of(listing: RunListing) -> dict[str, Any]:
-    """What `list_runs` says of one run."""
+    """Return an entry of `list_runs`, but for `next`."""
     stop: dict[str, Any] = {}
     with contextlib.suppress(DataError):
         stop = RunDirectory(listing.path).stop or {}
@@ -275,7 +266,7 @@ def entry_of(listing: RunListing) -> dict[str, Any]:
 
 
 def _recorded_s(listing: RunListing) -> float | None:
-    """What a run without stop document recorded so far; None where nobody can say."""
+    """Return the duration [s] that a run without stop document has recorded; None if unknown."""
     if listing.status not in ("interrupted", "running"):
         return None
     with contextlib.suppress(OSError):
@@ -289,7 +280,7 @@ def _method_of(file: Path) -> str:
 
 
 def facts_of(path: Path) -> dict[str, Any]:
-    """An entry of `hil runs QUERY`: what `hil runs` says of a run, and what can be asked.
+    """Return an entry of `hil runs QUERY`: what `hil runs` says of a run, and what is compared.
 
     Keys beside those of `hil.list_runs`: `number`, `name`, `description`, `started` (ISO 8601),
     `arm`, `serial`, `operator`, `reason`, `samples`, `gaps`, `loads_kg`, `occasion`, and `fits`:
@@ -303,8 +294,8 @@ def facts_of(path: Path) -> dict[str, Any]:
     try:
         return entry | _from_documents(path)
     except FileNotFoundError:
-        raise
-    except Exception as error:  # one run that says something odd keeps no other from the list
+        raise  # deleted meanwhile: it is no entry at all
+    except Exception as error:  # one odd run keeps no other from the list
         problem = f"what it says cannot be read: {type(error).__name__}: {error}"
         return entry | _NOTHING | {"status": "damaged", "problem": problem}
 
@@ -365,7 +356,7 @@ def _description(spec: Path) -> str:
 
 
 def _loads(value: Any) -> list[float]:
-    """Masses in the order of the spec [kg]."""
+    """Return the masses of the loads in the order of the spec [kg]."""
     loads = value if isinstance(value, list) else []
     masses = (_number_in(_mapping(load), "mass_kg") for load in loads)
     return [mass for mass in masses if mass is not None]
@@ -385,8 +376,8 @@ def _fit(file: Path) -> dict[str, Any]:
 
 
 def started_s(facts: dict[str, Any]) -> float | None:
-    """When a run was started [s, Unix]; of one that does not say the day of its folder."""
-    for told in (facts["started"], facts["date"]):
+    """Return when a run was started [s, Unix], else the day of its folder; None without either."""
+    for moment in (facts["started"], facts["date"]):
         with contextlib.suppress(ValueError, OverflowError, OSError):
-            return datetime.fromisoformat(told).timestamp()
+            return datetime.fromisoformat(moment).timestamp()
     return None

@@ -1,4 +1,9 @@
-"""Which runs are live below a folder, asked many times a second: a look costs what has changed."""
+"""Which runs of a folder are live, looked up many times a second at the cost of what has changed.
+
+A folder is listed again only when its time of change has moved, and a run that has ended is looked
+into again only when a file in it has come or gone. Times of change are coarse: what was changed a
+moment ago counts as not settled, and is looked at once more.
+"""
 
 from __future__ import annotations
 
@@ -10,14 +15,14 @@ from functools import lru_cache
 from pathlib import Path
 
 from hil.core import LOCK, DataError, is_live, read_json
-from hil.recording import folders_in
+from hil.recording import folders_in, is_run
 
 SETTLED_NS = 2 * 10**9
 """A folder that was changed more lately may have been changed once more at the same time stamp."""
 
 
 class KnownRuns:
-    """Which runs there are, which are live, and which were started under a name.
+    """The runs of a folder: which are live, and which were started under a name.
 
     A run that has ended leaves no `.lock`; to hold it again one is made, which changes its folder.
     Safe from any thread.
@@ -35,21 +40,22 @@ class KnownRuns:
         self._started: dict[Path, str] = {}
 
     def live(self, within_s: float = 0.0) -> list[Path]:
-        """The runs that processes hold.
+        """Return the runs that processes hold.
 
         Args:
-            within_s: So long ago those that had ended may have been looked at [s]: one that is gone
-                on with is missed meanwhile. New runs never are.
+            within_s: Age up to which the last look at ended runs still counts [s]: a run that is
+                resumed meanwhile is missed. New runs never are.
         """
         with self._looking:
             sweep = time.monotonic() - self._swept >= within_s
             if sweep:
                 self._swept = time.monotonic()
             runs = self._runs()
-            return [run for run in runs if self._may_be_live(run, sweep) and is_live(run)]
+            live = [run for run in runs if self._may_be_live(run, sweep) and is_live(run)]
+            return [run for run in live if is_run(run)]  # not a series or a fleet at work
 
     def started_as(self, name: str) -> list[Path]:
-        """The runs that the process of that name has made, see `hil.recording.provenance`."""
+        """Return the runs made by the process of that name, see `hil.recording.provenance`."""
         with self._looking:
             return [run for run in self._runs() if self._name_of(run) == name]
 
@@ -58,16 +64,15 @@ class KnownRuns:
         return [run for day in days for robot in self._in(day) for run in self._in(robot)]
 
     def _in(self, parent: Path) -> list[Path]:
-        """As `folders_in`, listed again when the folder has changed."""
+        """Return `folders_in`, listed again only when the folder has changed."""
         changed, settled = _changed(parent)
         known = self._folders.get(parent)
         if known is None or not known.settled or known.changed != changed:
-            known = _Folder(changed, settled, folders_in(parent))
-            for gone in self._folders.get(parent, known).folders:
-                # One of the same name may stand in its place.
-                self._ended.pop(gone, None)
-                self._started.pop(gone, None)
-            self._folders[parent] = known
+            # What was known of the folders in it goes: others may have taken their names.
+            for folder in known.folders if known is not None else ():
+                self._ended.pop(folder, None)
+                self._started.pop(folder, None)
+            known = self._folders[parent] = _Folder(changed, settled, folders_in(parent))
         return known.folders
 
     def _may_be_live(self, run: Path, sweep: bool) -> bool:
@@ -77,7 +82,7 @@ class KnownRuns:
         if self._ended.get(run) == changed:
             return False
         self._ended.pop(run, None)
-        # Left by one that was killed: it would be held again without any change of the folder.
+        # A killed run leaves its lock: resuming it would change nothing in the folder.
         if os.path.lexists(run / LOCK):
             return True
         if settled:
@@ -85,7 +90,7 @@ class KnownRuns:
         return False
 
     def _name_of(self, run: Path) -> str:
-        """Remembered from when its `start.json` is there: it is never written again."""
+        """Return the name a run was started under, remembered: `start.json` is written once."""
         name = self._started.get(run)
         if name is None:
             try:
@@ -98,7 +103,7 @@ class KnownRuns:
 
 @dataclass(slots=True)
 class _Folder:
-    """What was in a folder when it was last changed."""
+    """The folders in a folder, and when it was last changed [ns]."""
 
     changed: int
     settled: bool
@@ -106,7 +111,7 @@ class _Folder:
 
 
 def _changed(folder: Path) -> tuple[int, bool]:
-    """When a folder was changed last [ns], and whether that is long enough ago; 0 for none."""
+    """Return when a folder was last changed [ns, 0 without one], and whether long enough ago."""
     try:
         changed = os.stat(folder).st_mtime_ns
     except OSError:
@@ -115,7 +120,7 @@ def _changed(folder: Path) -> tuple[int, bool]:
 
 
 def known_runs(root: Path) -> KnownRuns:
-    """What this process remembers of a folder of runs."""
+    """Return what this process remembers of a folder of runs."""
     return _known(root.absolute())
 
 

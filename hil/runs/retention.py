@@ -1,13 +1,13 @@
-"""Retention of runs: which ones a policy lets go, why the others stay, and their removal.
+"""Retention of runs: which ones a policy deletes, why the others stay, and their removal.
 
 `decide` deletes nothing. It returns a decision per run with the reason for keeping it, from the
 strongest to the weakest: a link leads to it; it is live, damaged, interrupted, or a model was
 fitted to it (`hil.runs.origins`); the policy keeps it; it belongs to a series or fleet of which
-another run has to stay, as those say something only together.
+another run has to stay, as the runs of a group say something only together.
 
-`remove` looks once more at each run just before it goes, and deletes so that a kill leaves none
+`remove` checks each run again just before it deletes it, and deletes so that a kill leaves no run
 that looks whole: the run is renamed in one step to a name that no longer counts, and removed then.
-`leftovers` are what a deletion that was killed has left; the next one removes them.
+What a killed deletion has left (`leftovers`), the next one removes.
 """
 
 from __future__ import annotations
@@ -32,24 +32,32 @@ from hil.core import (
     hold_run,
     read_json,
 )
-from hil.recording import PRUNED, RunDirectory, folders_in, operator, run_folders, utc_now
+from hil.recording import (
+    PRUNED,
+    FleetGroup,
+    RunDirectory,
+    SeriesGroup,
+    folders_in,
+    operator,
+    run_folders,
+    utc_now,
+)
 from hil.runs.catalogue import find_runs
 from hil.runs.listing import facts_of, started_s
 from hil.runs.origins import Origins, origins, why_by_rows
-from hil.runs.series_folder import SeriesFolder, is_series_folder
 
 
 @dataclass(frozen=True, slots=True)
 class Policy:
-    """What is let go; whatever is asked must hold.
+    """Which runs may be deleted: those that meet all of it.
 
     Attributes:
-        terms: Of a query: no other run is looked at.
-        older: Runs that were started longer ago.
-        keep: Runs after which so many of the same robot and experiment were measured in full.
+        terms: Of a query (`hil.runs.query`): only runs that meet them.
+        older: Only runs that were started longer ago than this.
+        keep: Only runs after which so many of the same robot and experiment were measured in full.
         interrupted: Also runs that were interrupted.
-        recordings_only: Documents, models and reports stay.
-        typed: `older` as somebody typed it, if so.
+        recordings_only: Delete recordings; documents, models and reports stay.
+        typed: `older` as it was typed; empty if it was not.
     """
 
     terms: tuple[str, ...] = ()
@@ -61,7 +69,7 @@ class Policy:
 
     @property
     def age(self) -> str:
-        """The age that is asked for, in words; empty where none is."""
+        """`older` in words; empty without it."""
         return self.typed or ("" if self.older is None else duration_text(self.older))
 
     def to_dict(self) -> dict[str, Any]:
@@ -77,11 +85,11 @@ class Policy:
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """What is to become of one run.
+    """Whether one run is deleted.
 
     Attributes:
         run: Its directory.
-        why: Why it stays; empty when it goes.
+        why: Why it stays; empty if it goes.
         guarded: It stays whatever the policy says.
         size: Of what would be deleted [bytes].
     """
@@ -93,7 +101,7 @@ class Decision:
 
     @property
     def goes(self) -> bool:
-        """The policy lets it go, and nothing speaks against it."""
+        """Whether it is deleted: the policy allows it, and nothing else speaks against it."""
         return not self.why
 
     def to_dict(self) -> dict[str, Any]:
@@ -104,7 +112,7 @@ class Decision:
 def decide(
     runs: Path, policy: Policy, registries: Iterable[Path], now: float | None = None
 ) -> list[Decision]:
-    """What a policy comes to, run by run, oldest number first.
+    """Return what a policy decides about each run of its query, the lowest number first.
 
     Args:
         runs: The folder of runs.
@@ -113,7 +121,7 @@ def decide(
         now: For ages [s, Unix]; by default the present moment.
 
     Raises:
-        SpecError: The policy lets everything go, or a term cannot be understood.
+        SpecError: The policy would delete every run, or a term cannot be understood.
         RegistryError: A registry cannot be read: then nothing may go.
         DataError: The document of a series or of a run cannot be read.
     """
@@ -123,7 +131,8 @@ def decide(
             hint="say which may: --older-than 180d, --keep 20 (of a robot and experiment), or both",
         )
     known = origins(registries)
-    asked = {run["run"] for run in find_runs(*policy.terms, runs=runs)}
+    queried = {run["run"] for run in find_runs(*policy.terms, runs=runs)}
+    # Every run is decided on, whatever the query: one that stays may keep the others of its group.
     entries = find_runs(runs=runs)
     newer = _measured_after(entries)
     at = time.time() if now is None else now
@@ -136,43 +145,43 @@ def decide(
             decisions.append(Decision(run, why, guarded=True))
         else:
             decisions.append(_by_policy(run, facts, policy, newer[facts["run"]], at))
-    # Last, and of what would go only: all samples of a run are read to recognise it by its rows.
-    there = {path.name for path in run_folders(runs)}
-    by_rows = why_by_rows(one for one in known.by_name if one.name not in there)
+    # Last, and only for runs that would go: all samples are read to recognise a run by its rows.
+    names = {path.name for path in run_folders(runs)}
+    by_rows = why_by_rows(one for one in known.by_name if one.name not in names)
     for k, one in enumerate(decisions):
         if one.goes and (why := by_rows(one.run)):
             decisions[k] = Decision(one.run, why, guarded=True)
     groups = [*_series(runs), *_fleets(runs, [one.run for one in decisions])]
-    return [one for one in _keep_groups(decisions, groups) if str(one.run) in asked]
+    return [one for one in _keep_groups(decisions, groups) if str(one.run) in queried]
 
 
 def _measured_after(entries: Sequence[dict[str, Any]]) -> dict[str, int]:
-    """Run → how many of its robot and experiment were measured in full after it.
+    """Return, by run, how many of its robot and experiment were measured in full after it.
 
     Args:
         entries: As of `hil.runs.catalogue.find_runs`.
     """
     count: Counter[tuple[str, str]] = Counter()
     newer: dict[str, int] = {}
-    of_one: dict[str, int] = {}  # a run by a link, and its copy, are no further ones
+    by_identity: dict[str, int] = {}  # a link to a run, or its copy, counts as that run
     for run in sorted(entries, key=lambda one: (started_s(one) or 0.0, one["number"]))[::-1]:
         kind, identity = (run["robot"], run["name"]), run["uid"] or run["run"]
-        if identity not in of_one:
-            of_one[identity] = count[kind]
+        if identity not in by_identity:
+            by_identity[identity] = count[kind]
             count[kind] += _in_full(run)
-        newer[run["run"]] = of_one[identity]
+        newer[run["run"]] = by_identity[identity]
     return newer
 
 
 def _in_full(facts: Mapping[str, Any]) -> bool:
-    """Whether a run can take an older one's place: no rehearsal, and nothing wrong with it."""
+    """Return whether a run can replace an older one: no commissioning run, and nothing wrong."""
     run = Path(facts["run"])
     good = facts["status"] == "completed" and facts["verdict"] != "rejected"
     return good and bool(RunDirectory(run).recordings) and "commissioning" not in _start_of(run)
 
 
 def _start_of(run: Path) -> Mapping[str, Any]:
-    """What a run says of its beginning; nothing if it is damaged."""
+    """Return the start document of a run; empty if it is damaged."""
     try:
         return read_json(run / "start.json")
     except DataError:
@@ -180,9 +189,9 @@ def _start_of(run: Path) -> Mapping[str, Any]:
 
 
 def _why_link(run: Path, policy: Policy) -> str:
-    """Why a run that is reached over a link stays; empty where none is on the way.
+    """Return why a run that is reached by a link stays; empty without a link on the way.
 
-    What a link leads to is no policy's business, and if it lies here it is a run of its own.
+    Its target may lie outside the folder of runs; if it lies inside, it is listed by itself.
     """
     if any(part.is_symlink() for part in (run, *run.parents[:2])):  # DAY/ROBOT/RUN
         return "it is a link"
@@ -192,7 +201,7 @@ def _why_link(run: Path, policy: Policy) -> str:
 
 
 def _guard(run: Path, facts: Mapping[str, Any], known: Origins, policy: Policy) -> str:
-    """Why a run stays whatever a policy says; empty where nothing speaks for it.
+    """Return why a run stays whatever the policy says; empty if it need not stay.
 
     Raises:
         DataError: Its documents cannot be read.
@@ -222,55 +231,52 @@ def _by_policy(
 
 
 def _size_of(run: Path, policy: Policy) -> int:
-    """Bytes that go with a run."""
+    """Return how much would be deleted of a run [bytes]."""
     folder = run / "recording" if policy.recordings_only else run
     return sum(file.lstat().st_size for file in folder.rglob("*") if file.is_file())
 
 
 def _series(runs: Path) -> list[tuple[str, set[Path]]]:
-    found = []
-    folders = [path for day in folders_in(runs) for path in folders_in(day / "series")]
-    for path in filter(is_series_folder, folders):
+    """Return the name and the runs of each series."""
+    groups = []
+    for path in filter(SeriesGroup.is_at, SeriesGroup.folders(runs)):
         try:
-            folder, members = SeriesFolder.open(path)
+            members = SeriesGroup.open(path).members()
         except DataError as error:
             hint = "nothing is deleted before; its folder is a view and may be moved away"
             raise DataError(error.message, hint=hint) from error
-        paths = {Path(one["run"]).resolve() for one in members if isinstance(one.get("run"), str)}
-        found.append((folder.path.name, paths))
-    return found
+        groups.append((path.name, {one.run.resolve() for one in members if one.run is not None}))
+    return groups
 
 
 def _fleets(runs: Path, paths: Iterable[Path]) -> list[tuple[str, set[Path]]]:
-    """By the specs that runs name: `fleet.json` is behind them after a kill."""
-    known = {path.parts[-3:] for day in folders_in(runs) for path in folders_in(day / "fleet")}
-    found: defaultdict[tuple[str, ...], set[Path]] = defaultdict(set)
+    """Return the name and the runs of each fleet, by what the runs themselves say."""
+    known = {path.parts[-3:] for path in FleetGroup.folders(runs)}  # DAY/fleet/fleet-NAME
+    groups: defaultdict[tuple[str, ...], set[Path]] = defaultdict(set)
     for run in paths if known else ():
-        # DAY/fleet/fleet-NAME/specs/ROBOT.yaml; runs may have been moved together since
-        fleet = Path(str(_start_of(run).get("spec", ""))).parts[-5:-2]
-        if fleet in known:
-            found[fleet].add(run.resolve())
-    return [(name, members) for (*_, name), members in found.items()]
+        if (fleet := FleetGroup.place_named_by(run)) in known:
+            groups[fleet].add(run.resolve())
+    return [(name, members) for (*_, name), members in groups.items()]
 
 
 def _keep_groups(decisions: list[Decision], groups: list[tuple[str, set[Path]]]) -> list[Decision]:
-    """Keep every run of a series or fleet of which one has to stay."""
+    """Return the decisions, with every run of a group guarded of which one run is guarded."""
     guarded = {one.run.resolve(): one for one in decisions if one.guarded}
-    kept: dict[Path, str] = {}
+    reasons: dict[Path, str] = {}
     for name, members in groups:
         for member in members & guarded.keys():
-            run = guarded[member]
-            kept |= dict.fromkeys(members, f"it is of {name}, as {run.run.name}: {run.why}")
+            one = guarded[member]
+            reasons |= dict.fromkeys(members, f"it is of {name}, as {one.run.name}: {one.why}")
     return [
-        replace(one, why=kept[path], guarded=True, size=0)
-        if not one.guarded and (path := one.run.resolve()) in kept
+        replace(one, why=reasons[path], guarded=True, size=0)
+        if not one.guarded and (path := one.run.resolve()) in reasons
         else one
         for one in decisions
     ]
 
 
 TRASH = ".trash-"
-"""Beginning of what was renamed and is on its way out; no run begins with a dot."""
+"""Beginning of the names of folders that are being deleted; no run begins with a dot."""
 
 
 def remove(
@@ -280,17 +286,17 @@ def remove(
     registries: Iterable[Path],
     tell: Callable[[Decision], None] = lambda _: None,
 ) -> list[Decision]:
-    """Delete what goes, looking once more at each run just before.
+    """Delete the runs that go, after checking each of them again.
 
     Args:
         decisions: From `hil.runs.retention.decide`.
         runs: The folder of runs.
-        policy: As it was decided by.
+        policy: That they were decided by.
         registries: Folders of models, read again for every run.
-        tell: Told about every run that is gone.
+        tell: Called with every run that is gone.
 
     Returns:
-        What became of each; a run that was taken in hand meanwhile stays.
+        The decisions as they turned out: a run that is live by now, or has a model, stays.
 
     Raises:
         RegistryError: A registry cannot be read.
@@ -308,23 +314,29 @@ def remove(
 
 
 def _remove(run: Path, policy: Policy, registries: list[Path]) -> str:
-    """Delete a run; or why it stays after all."""
+    """Delete a run; return why it stays after all, empty if it is gone."""
     if why := _why_link(run, policy):
         return why
     with _refused(run, "nothing of it is deleted yet"):
         try:
             with hold_run(run):
-                # Held by us it counts as live; whoever held it before has let it go.
+                # It counts as live while it is held here: its status is asked for apart.
                 facts = facts_of(run) | {"status": RunDirectory.open(run).status}
                 if why := _guard(run, facts, origins(registries), policy):
                     return why
-                gone = _take_recordings(run, policy) if policy.recordings_only else _take(run)
+                if not policy.recordings_only:
+                    trash = _renamed(run)
+                else:
+                    directory = RunDirectory(run)
+                    if not (run / PRUNED).exists():  # else a deletion that was killed wrote it
+                        directory.write_json(PRUNED, _pruned_document(directory, policy))
+                    trash = _renamed(run / "recording")
         except DataError as error:
             return error.message
-    with _refused(gone, "what is left of it counts no more and goes with the next hil prune --yes"):
-        shutil.rmtree(gone)
+    with _refused(trash, "the rest of it does not count and goes with the next hil prune --yes"):
+        shutil.rmtree(trash)
     if not policy.recordings_only:
-        _tidy(run)
+        _remove_empty_parents(run)
     return ""
 
 
@@ -339,59 +351,57 @@ def _refused(folder: Path, state: str) -> Iterator[None]:
         ) from error
 
 
-def _take_recordings(run: Path, policy: Policy) -> Path:
-    """Note in the run what is taken from it, and take it."""
-    directory = RunDirectory(run)
-    if not (run / PRUNED).exists():  # a deletion that was killed has noted it
-        directory.write_json(PRUNED, _note(directory, policy))
-    return _take(run / "recording")
-
-
-def _note(directory: RunDirectory, policy: Policy) -> dict[str, Any]:
+def _pruned_document(directory: RunDirectory, policy: Policy) -> dict[str, Any]:
+    """Return what `pruned.json` says of the recordings that are about to be deleted."""
     sizes = {
         path.relative_to(directory.path).as_posix(): path.stat().st_size
         for path in sorted((directory.path / "recording").rglob("*"))
         if path.is_file()
     }
-    told = {"at": utc_now(), "by": operator(), "policy": policy.to_dict(), "bytes": sizes}
-    return {"hil_pruned": 1, **told}
+    return {
+        "hil_pruned": 1,
+        "at": utc_now(),
+        "by": operator(),
+        "policy": policy.to_dict(),
+        "bytes": sizes,
+    }
 
 
-def _take(folder: Path) -> Path:
-    """Rename a folder to what no longer counts; in one step, and for good."""
-    gone = folder.with_name(f"{TRASH}{uuid.uuid4().hex[:8]}-{folder.name}")
-    folder.rename(gone)
+def _renamed(folder: Path) -> Path:
+    """Rename a folder, in one step and for good, to a name that no longer counts; return it."""
+    trash = folder.with_name(f"{TRASH}{uuid.uuid4().hex[:8]}-{folder.name}")
+    folder.rename(trash)
     fsync_directory(folder.parent)
-    return gone
+    return trash
 
 
-_TIDY_AFTER = timedelta(days=7)
-"""Folders of a day in which a run may begin yet are left alone."""
+_PAST_AFTER = timedelta(days=7)
+"""Folders of younger days stay, even if empty: a run may still begin in one of them."""
 
 
-def _tidy(run: Path) -> None:
-    """Remove the folders of the robot and the day once they are empty and long past."""
-    with contextlib.suppress(OSError, ValueError):
-        if date.fromisoformat(run.parents[1].name) < date.today() - _TIDY_AFTER:
+def _remove_empty_parents(run: Path) -> None:
+    """Remove the folders of the robot and the day if they are empty and the day is long past."""
+    with contextlib.suppress(OSError, ValueError):  # not empty, or no folder of a day
+        if date.fromisoformat(run.parents[1].name) < date.today() - _PAST_AFTER:
             run.parent.rmdir()
             run.parents[1].rmdir()
 
 
 def leftovers(runs: Path) -> list[Path]:
-    """What a deletion that was killed has left."""
-    robots = [robot for day in _own(runs) for robot in _own(day)]
-    places = [*robots, *(run for robot in robots for run in _own(robot))]
+    """Return what a deletion that was killed has left."""
+    robots = [robot for day in _without_links(runs) for robot in _without_links(day)]
+    places = [*robots, *(run for robot in robots for run in _without_links(robot))]
     return [path for place in places for path in _trash_in(place)]
 
 
-def _own(folder: Path) -> list[Path]:
-    """Folders in a folder, without links: what they lead to is no business of a policy."""
+def _without_links(folder: Path) -> list[Path]:
+    """Return the folders in a folder that are no links: nothing outside the runs is deleted."""
     return [path for path in folders_in(folder) if not path.is_symlink()]
 
 
 def _trash_in(folder: Path) -> list[Path]:
     try:
-        found = [path for path in folder.iterdir() if path.name.startswith(TRASH)]
+        trash = [path for path in folder.iterdir() if path.name.startswith(TRASH)]
     except OSError:
         return []
-    return [path for path in found if not path.is_symlink()]
+    return [path for path in trash if not path.is_symlink()]

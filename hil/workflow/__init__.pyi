@@ -66,12 +66,10 @@ from .running import RunReport as RunReport
 from .running import resume as resume
 from .running import run as run
 from .running import run_opened as run_opened
-from .series import Ended as Ended
 from .series import Series as Series
 from .series import SeriesReport as SeriesReport
+from .series import commissioning_of_series as commissioning_of_series
 from .series import load_series as load_series
-from .series import not_begun as not_begun
-from .series import nothing_left as nothing_left
 from .series import run_series as run_series
 from .studies import STUDY as STUDY
 from .studies import Studied as Studied

@@ -1,4 +1,10 @@
-"""A series: experiments run one after the other, each an ordinary run, and what came of them."""
+"""A series: experiments that are run one after the other, each an ordinary run.
+
+A run that ends early ends the series: what stopped one motion may well stop the next one, or worse.
+A model that is rejected or cannot be fitted does not. After every run the document of the series is
+written anew (`hil.recording.SeriesGroup`), and so is its overview, which `hil.report` makes; a
+series that ended early is resumed from them.
+"""
 
 from __future__ import annotations
 
@@ -7,19 +13,20 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from hil.core import DataError, HilError, Rejected, Source, SpecError, Stopped, errors, exit_code_of
-from hil.planning import Experiment
+from hil.core import DataError, HilError, Source, SpecError, Stopped, exit_code_of
+from hil.planning import Commissioning, Experiment
 from hil.planning import load as load_experiment
-from hil.runs import SeriesFolder
+from hil.recording import Member, SeriesGroup, worst_error
+from hil.report import render_series
 from hil.spec import SeriesSpec, load_series_spec
 
 Document = dict[str, Any]
 
-NOT_OF_THE_RUN = ("experiment", "robot", "error")
-
 Execute = Callable[[Experiment, Document], tuple[Document, HilError | None]]
-"""Runs an experiment, or goes on with the run that a document of it tells of; returns the run's
-report as JSON has it, and what ended it early or is wrong with its models."""
+"""Runs an experiment, or resumes its run, whose report it is given (empty if there is none).
+
+Returns the run's report as `hil run --json` has it, and what ended it early or is wrong with its
+models."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,89 +43,33 @@ class Series:
     experiments: tuple[Experiment, ...]
     source: Path
 
+    def create_group(
+        self, runs: Path, station: Path | None = None, part: Commissioning | None = None
+    ) -> SeriesGroup:
+        """Make the folder of the series, which starts now.
 
-@dataclass(frozen=True, slots=True)
-class Ended:
-    """One experiment of a series, as far as it came.
+        Args:
+            runs: Where run directories are kept.
+            station: Named in place of those in the files.
+            part: What of each experiment is executed, and how fast; None for all of it.
+        """
+        return SeriesGroup.create(
+            runs,
+            self.spec.name,
+            self.source,
+            description=self.spec.description,
+            station=station,
+            commissioning=part.to_dict() if part else None,
+        )
 
-    Attributes:
-        experiment: Its name.
-        robot: Name of its robot.
-        report: The run's own report as JSON has it; empty when there is no run directory.
-        error: What ended it early, or what is wrong with its models; None when all is well.
-    """
+    def is_finished(self, members: Sequence[Member]) -> bool:
+        """Return whether every experiment was run to its end, whatever its models are worth."""
+        return len(members) == len(self.experiments) and all(each.measured for each in members)
 
-    experiment: str
-    robot: str
-    report: Document
-    error: HilError | None = None
-
-    @property
-    def measured(self) -> bool:
-        """Whether the robot did all it should: the next experiment may move one."""
-        return self.report.get("outcome") == "completed" and not isinstance(self.error, Stopped)
-
-    @property
-    def word(self) -> str:
-        """How it ended, or what its models are worth, in a word or two."""
-        outcome = str(self.report.get("outcome", "not run"))
-        if not self.measured:
-            return outcome if outcome != "completed" else "stopped after the motion"
-        return str(self.report.get("verdict"))
-
-    @classmethod
-    def from_dict(cls, entry: Document) -> Ended:
-        """Inverse of `to_dict`."""
-        report = {key: value for key, value in entry.items() if key not in NOT_OF_THE_RUN}
-        told = entry.get("error")
-        kind = getattr(errors, str(told.get("kind")), HilError) if isinstance(told, dict) else None
-        error = kind(str(told.get("message"))) if kind and isinstance(told, dict) else None
-        return cls(str(entry.get("experiment")), str(entry.get("robot")), report, error)
-
-    def to_dict(self) -> Document:
-        """One entry of `hil run --json` and of `series.json`."""
-        error = self.error and {"kind": type(self.error).__name__, "message": self.error.message}
-        return {
-            "experiment": self.experiment,
-            "robot": self.robot,
-            **self.report,
-            **({"error": error} if error else {}),
-        }
-
-
-@dataclass(frozen=True, slots=True)
-class SeriesReport:
-    """What came of a series.
-
-    Attributes:
-        folder: Where its overview is.
-        page: The overview; None if it could not be made.
-        ended: The experiments that were begun.
-        left: Names of those that were not.
-    """
-
-    folder: Path
-    page: Path | None
-    ended: tuple[Ended, ...]
-    left: tuple[str, ...]
-
-    @property
-    def error(self) -> HilError | None:
-        """The worst: what ended the series, else what is wrong with a model, else a rejection."""
-        told = [each.error for each in self.ended if each.error is not None]
-        stopped = [each.error for each in self.ended if not each.measured and each.error]
-        wrong = [error for error in told if not isinstance(error, Rejected)]
-        return next(iter([*stopped, *wrong, *told]), None)
-
-    def to_dict(self) -> dict[str, Any]:
-        """The contract of `hil run SERIES --json`."""
-        return {
-            "series": str(self.folder),
-            "page": str(self.page) if self.page else None,
-            "runs": [each.to_dict() for each in self.ended],
-            "left": list(self.left),
-            "exit_code": exit_code_of(self.error) if self.error else 0,
-        }
+    def without_run(self, members: Sequence[Member]) -> tuple[Experiment, ...]:
+        """Return the experiments without a run; resumed runs keep their own confirmation."""
+        begun = [i for i, member in enumerate(members) if member.run is not None]
+        return tuple(each for i, each in enumerate(self.experiments) if i not in begun)
 
 
 def load_series(file: Path | Source, station: Path | None = None) -> Series:
@@ -141,57 +92,77 @@ def load_series(file: Path | Source, station: Path | None = None) -> Series:
         except SpecError as error:
             problems.append(error)
     if problems:
-        told = dict.fromkeys(line for error in problems for line in error.message.splitlines())
-        raise SpecError("\n".join(told), hint=problems[0].hint)
+        lines = dict.fromkeys(line for error in problems for line in error.message.splitlines())
+        raise SpecError("\n".join(lines), hint=problems[0].hint)
     return Series(spec, tuple(experiments), Path(file.name) if isinstance(file, Source) else file)
 
 
-def run_series(
-    series: Series, folder: SeriesFolder, execute: Execute, before: Sequence[Document] = ()
-) -> SeriesReport:
-    """Run the experiments of a series one after the other, or those that are left of it.
+def commissioning_of_series(group: SeriesGroup) -> Commissioning | None:
+    """Return what of each experiment is executed, and how fast; None for all of it."""
+    recorded = group.head.get("commissioning")
+    return Commissioning.from_dict(recorded) if recorded else None
 
-    A run that ends early ends the series: what stopped one motion may well stop the next one, or
-    worse. A model that is rejected or cannot be fitted does not.
+
+@dataclass(frozen=True, slots=True)
+class SeriesReport:
+    """The result of a series.
+
+    Attributes:
+        folder: Where its overview is.
+        page: The overview; None if it could not be made.
+        members: The experiments that were begun.
+        left: Names of those that were not.
+    """
+
+    folder: Path
+    page: Path | None
+    members: tuple[Member, ...]
+    left: tuple[str, ...]
+
+    @property
+    def error(self) -> HilError | None:
+        """The worst: what ended the series, else what is wrong with a model, else a rejection."""
+        return worst_error(self.members)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the contract of `hil run SERIES --json`."""
+        return {
+            "series": str(self.folder),
+            "page": str(self.page) if self.page else None,
+            "runs": [each.to_dict() for each in self.members],
+            "left": list(self.left),
+            "exit_code": exit_code_of(self.error) if self.error else 0,
+        }
+
+
+def run_series(series: Series, group: SeriesGroup, execute: Execute) -> SeriesReport:
+    """Run the experiments of a series one after the other, or those that are left of it.
 
     Args:
         series: What is to be done.
-        folder: Of this series; kept up to date after every run.
-        execute: Runs one of them.
-        before: What its document tells of an earlier attempt.
+        group: Its folder, held by this process; kept up to date after every run.
+        execute: Runs one experiment, or resumes its run.
 
     Raises:
-        DataError: The file names other experiments than it did then.
+        DataError: The file names other experiments than those that were run.
     """
-    ended = [Ended.from_dict(entry) for entry in before]
-    _require_same(series, ended)
+    members = group.members()
+    _require_same_experiments(series, members)
     for i, experiment in enumerate(series.experiments):
-        if i < len(ended) and ended[i].measured:
+        if i < len(members) and members[i].measured:
             continue
-        folder.write([each.to_dict() for each in ended])
-        ended[i:] = [_ended(experiment, execute, ended[i].report if i < len(ended) else {})]
-        if not ended[i].measured:
+        _write(group, members)
+        before = members[i].report if i < len(members) else {}
+        members[i:] = [_executed(experiment, execute, before)]
+        if not members[i].measured:
             break
-    left = tuple(each.spec.name for each in series.experiments[len(ended) :])
-    page = folder.write([each.to_dict() for each in ended])
-    return SeriesReport(folder.path, page, tuple(ended), left)
+    left = tuple(each.spec.name for each in series.experiments[len(members) :])
+    return SeriesReport(group.path, _write(group, members), tuple(members), left)
 
 
-def nothing_left(series: Series, before: Sequence[Document]) -> bool:
-    """Whether every experiment was run to its end, whatever its models are worth."""
-    ended = [Ended.from_dict(entry) for entry in before]
-    return len(ended) == len(series.experiments) and all(each.measured for each in ended)
-
-
-def not_begun(series: Series, before: Sequence[Document]) -> tuple[Experiment, ...]:
-    """Return the experiments without a run; resumed runs keep their own confirmation."""
-    begun = [i for i, entry in enumerate(before) if Ended.from_dict(entry).report.get("run")]
-    return tuple(each for i, each in enumerate(series.experiments) if i not in begun)
-
-
-def _require_same(series: Series, ended: Sequence[Ended]) -> None:
+def _require_same_experiments(series: Series, members: Sequence[Member]) -> None:
     now = [each.spec.name for each in series.experiments]
-    then = [each.experiment for each in ended]
+    then = [each.experiment for each in members]
     if then != now[: len(then)]:
         raise DataError(
             f"{series.source} now begins with {', '.join(now)}, but {', '.join(then)} were run",
@@ -199,17 +170,26 @@ def _require_same(series: Series, ended: Sequence[Ended]) -> None:
         )
 
 
-def _ended(experiment: Experiment, execute: Execute, before: Document) -> Ended:
-    blank = Ended(experiment.spec.name, experiment.spec.robot, before)
+def _executed(experiment: Experiment, execute: Execute, before: Document) -> Member:
+    blank = Member(experiment.spec.name, experiment.spec.robot, before)
     try:
         report, wrong = execute(experiment, before)
     except HilError as error:
         return replace(blank, error=error)
     except KeyboardInterrupt:  # between two runs; a run itself says what stopped it
-        told = Stopped(
+        stopped = Stopped(
             "stopped between two runs of the series",
             by_signal=True,
             hint="hil resume with the folder of the series goes on",
         )
-        return replace(blank, error=told)
+        return replace(blank, error=stopped)
     return replace(blank, report=report, error=wrong)
+
+
+def _write(group: SeriesGroup, members: Sequence[Member]) -> Path | None:
+    """Replace document and overview; return None if the latter could not be made."""
+    group.write(members)
+    try:
+        return render_series(group.path)
+    except HilError:
+        return None
