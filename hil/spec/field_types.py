@@ -44,6 +44,15 @@ Vector3 = tuple[Finite, Finite, Finite]
 JointRange = Annotated[tuple[Finite, Finite], AfterValidator(_ascending)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
 
+RobotAddresses = Annotated[
+    dict[Name, str],
+    Field(
+        description="Address of every real robot that moves, by its name in the station, such as "
+        "`{ur5: 192.168.0.5}`; mocks and loopback addresses need no entry."
+    ),
+]
+"""Of files whose runs move robots without a person at each motion."""
+
 
 class Strict(BaseModel):
     """Base of every spec part: immutable, and a key nobody knows is an error."""

@@ -246,6 +246,18 @@ def _other_kind(data: Any, wanted: str) -> str:
     return next((key for key in _KINDS if key in known), "")
 
 
+def is_of_kind(file: str | FilePath | Source, key: str) -> bool:
+    """Return whether a file, or what was read from it, has the key of a kind of file.
+
+    An unreadable file is of no kind.
+    """
+    try:
+        data = file.data if isinstance(file, Source) else read_source(file).data
+    except SpecError:
+        return False
+    return isinstance(data, dict) and key in data
+
+
 def no_such_kind(file: FilePath, wanted: str) -> str:
     """What is wrong with naming a file where another kind is needed; empty when nothing is.
 

@@ -10,9 +10,18 @@ from zoneinfo import ZoneInfo
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from hil.core import Duration, Source, SpecError, read_source
-from hil.spec.field_types import Finite, FormatVersion, Name, Positive, Seed, Strict, mistake
-from hil.spec.load import make_absolute, refuse_other_kind, validated
+from hil.core import Duration, Source, read_source
+from hil.spec.field_types import (
+    Finite,
+    FormatVersion,
+    Name,
+    Positive,
+    RobotAddresses,
+    Seed,
+    Strict,
+    mistake,
+)
+from hil.spec.load import is_of_kind, make_absolute, refuse_other_kind, validated
 
 KEY = "hil_schedule"
 
@@ -167,11 +176,7 @@ class ScheduleSpec(Strict):
     station: str | None = Field(
         None, description="The station of probe and campaign; by default as with `hil run`."
     )
-    robots: dict[Name, str] = Field(
-        {},
-        description="Address of every real robot that moves, by its name in the station, such as "
-        "`{ur5: 192.168.0.5}`; mocks and loopback addresses need no entry.",
-    )
+    robots: RobotAddresses = Field({})
     timezone: Annotated[str, AfterValidator(_known_zone)] = Field(
         "UTC", description="Of all times of day here, such as `Europe/Berlin`."
     )
@@ -214,11 +219,7 @@ class ScheduleSpec(Strict):
 
 def is_schedule(file: str | FilePath | Source) -> bool:
     """Return whether a file, or what was read from it, is a schedule; an unreadable one is none."""
-    try:
-        data = file.data if isinstance(file, Source) else read_source(file).data
-    except SpecError:
-        return False
-    return isinstance(data, dict) and KEY in data
+    return is_of_kind(file, KEY)
 
 
 def load_schedule_spec(file: str | FilePath | Source) -> ScheduleSpec:

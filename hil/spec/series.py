@@ -6,9 +6,9 @@ from pathlib import Path as FilePath
 
 from pydantic import Field
 
-from hil.core import KeyPath, Source, SpecError, read_source
-from hil.spec.field_types import FormatVersion, Name, Strict
-from hil.spec.load import make_absolute, refuse_other_kind, validated
+from hil.core import KeyPath, Source, read_source
+from hil.spec.field_types import FormatVersion, Name, RobotAddresses, Strict
+from hil.spec.load import is_of_kind, make_absolute, refuse_other_kind, validated
 
 KEY = "hil_series"
 
@@ -35,21 +35,13 @@ class SeriesSpec(Strict):
     station: str | None = Field(
         None, description="The station of all experiments that name none themselves."
     )
-    robots: dict[Name, str] = Field(
-        {},
-        description="Address of every real robot that moves, by its name in the station, such as "
-        "`{ur5: 192.168.0.5}`; mocks and loopback addresses need no entry.",
-    )
+    robots: RobotAddresses = Field({})
     series: tuple[SeriesEntry, ...] = Field(min_length=1, description="The experiments.")
 
 
 def is_series(file: str | FilePath | Source) -> bool:
     """Return whether a file, or what was read from it, is a series; an unreadable one is none."""
-    try:
-        data = file.data if isinstance(file, Source) else read_source(file).data
-    except SpecError:
-        return False
-    return isinstance(data, dict) and KEY in data
+    return is_of_kind(file, KEY)
 
 
 def load_series_spec(file: str | FilePath | Source) -> SeriesSpec:
