@@ -1,10 +1,10 @@
 """The catalogue as SQLite: `RUNS/.catalogue.sqlite`, a view of run directories and never the truth.
 
-Every look at it compares the directories with what it holds and reads those that have changed; a
-directory has changed when a name, time or size in it has (`stamp_of`). The file is taken into
-memory whole and replaced whole: processes need no locks, which network file systems lack, a kill
-leaves the file before, and where nothing can be written nothing is. A file that is damaged or of
-another version is made anew.
+Every query first compares the directories with the file and reads those that have changed: in which
+a name, a time or a size is another one (`stamp_of`). The file is read into memory whole and
+replaced whole, so that processes need no locks, which network file systems lack, and a kill leaves
+the older file. A file that is damaged or of another version is made anew. A folder of runs that
+cannot be written to is queried all the same, only more slowly.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _ADD = f"INSERT INTO runs VALUES ({', '.join('?' * len(_COLUMNS))})"  # noqa: S6
 def find_runs(
     *terms: str, runs: str | Path = "runs", rebuild: bool = False
 ) -> list[dict[str, Any]]:
-    """Runs that meet every term of a query, by number; without terms all of them.
+    """Return the runs that meet every term of a query, by number; without terms all of them.
 
     Args:
         terms: Such as `robot=ur5-*`, `since=7d`, `rmse<0.1` or a word; see
@@ -60,24 +60,26 @@ def find_runs(
     """
     root, query = Path(runs), parse(terms)
     paths = {_relative(path, root): path for path in run_paths(root)}
-    found = None if rebuild else _kept(root, paths, query)
-    if found is None:
-        with contextlib.closing(_new()) as view:
+    rows = None if rebuild else _from_file(root, paths, query)
+    if rows is None:
+        with contextlib.closing(sqlite3.connect(":memory:", isolation_level=None)) as view:
+            for statement in _TABLES:
+                view.execute(statement)
             _bring_up_to_date(view, root, paths)
-            found = _asked(view, query)
-    entries = [entry | {"run": str(paths[path])} for path, entry in found]
+            rows = _select(view, query)
+    entries = [entry | {"run": str(paths[path])} for path, entry in rows]
     return sorted(entries, key=lambda one: (one["number"], Path(one["run"])))
 
 
 def _relative(path: Path, root: Path) -> str:
-    """Where a run is below the folder of runs, as ASCII whatever bytes its name has."""
+    """Return where a run is below the folder of runs, as ASCII whatever bytes its name has."""
     return json.dumps(os.fspath(path.relative_to(root)))
 
 
-def _kept(
+def _from_file(
     root: Path, paths: Mapping[str, Path], query: Query
 ) -> list[tuple[str, dict[str, Any]]] | None:
-    """What the file says, brought up to date; None where there is none that can be used."""
+    """Return the answer of the file, brought up to date; None without a file that can be used."""
     with contextlib.closing(sqlite3.connect(":memory:", isolation_level=None)) as view:
         try:
             view.deserialize((root / FILE).read_bytes())
@@ -86,7 +88,7 @@ def _kept(
             if _only(view, "PRAGMA quick_check(1)") != "ok":
                 return None
             _bring_up_to_date(view, root, paths)
-            return _asked(view, query)
+            return _select(view, query)
         except (sqlite3.Error, OSError, ValueError, TypeError):  # an entry is no JSON or no object
             return None
 
@@ -97,30 +99,34 @@ def _only(view: sqlite3.Connection, statement: str) -> Any:
 
 
 def _bring_up_to_date(view: sqlite3.Connection, root: Path, paths: Mapping[str, Path]) -> None:
-    """Forget what is gone, read what has changed, and keep the file where that is worth it."""
+    """Forget what is gone, read what has changed, and write the file if another query gains by it.
+
+    Nothing is gained by runs alone that are read every time (`ALWAYS_READ`).
+    """
     known = dict(view.execute("SELECT path, stamp FROM runs"))
     stamps = {path: stamp_of(run) for path, run in paths.items()}
-    gone = [path for path, stamp in known.items() if not stamp or stamps.get(path) != stamp]
+    outdated = [path for path, stamp in known.items() if not stamp or stamps.get(path) != stamp]
     view.execute("BEGIN")
-    for path in gone:
+    for path in outdated:
         view.execute("DELETE FROM runs WHERE path = ?", (path,))
         view.execute("DELETE FROM fits WHERE path = ?", (path,))
-    new = [path for path in paths if path not in known or path in gone]
-    passing = [path for path in new if not _read(view, path, paths[path], stamps[path])]
+    new = [path for path in paths if path not in known or path in outdated]
+    lasting = [path for path in new if _enter(view, path, paths[path], stamps[path])]
     view.execute("COMMIT")
-    if any(known[path] for path in gone) or len(passing) < len(new):
-        _keep(view, root)
+    if any(known[path] for path in outdated) or lasting:
+        with contextlib.suppress(RecordingError, sqlite3.Error):  # made anew by the next query
+            write_replacing(root / FILE, view.serialize())
 
 
-def _read(view: sqlite3.Connection, path: str, run: Path, stamp: str) -> bool:
-    """Enter a run; False where it has to be read again the next time."""
+def _enter(view: sqlite3.Connection, path: str, run: Path, stamp: str) -> bool:
+    """Enter a run; return whether its entry lasts, or has to be read again the next time."""
     facts = None
     with contextlib.suppress(FileNotFoundError):
         facts = facts_of(run)
     if facts is None or not run.is_dir():
         return False  # deleted meanwhile
-    lasts = facts["status"] not in ("running", "interrupted", "damaged")
-    stamp = stamp if lasts else ALWAYS_READ
+    ended = facts["status"] not in ("running", "interrupted", "damaged")
+    stamp = stamp if ended else ALWAYS_READ
     row = facts | {
         "path": path,
         "stamp": stamp,
@@ -133,8 +139,8 @@ def _read(view: sqlite3.Connection, path: str, run: Path, stamp: str) -> bool:
     }
     view.execute(_ADD, [_sqlite_value(row[column]) for column in _COLUMNS])
     for fit in facts["fits"]:
-        fitted = (path, _sqlite_value(fit["estimator"]), fit["rmse"])
-        view.execute("INSERT INTO fits VALUES (?, ?, ?)", fitted)
+        values = (path, _sqlite_value(fit["estimator"]), fit["rmse"])
+        view.execute("INSERT INTO fits VALUES (?, ?, ?)", values)
     return stamp != ALWAYS_READ
 
 
@@ -142,35 +148,23 @@ def _sqlite_value(value: Any) -> Any:
     return sqlite_text(value) if isinstance(value, str) else value
 
 
-def _keep(view: sqlite3.Connection, root: Path) -> None:
-    with contextlib.suppress(RecordingError, sqlite3.Error):  # then it is made anew next time
-        write_replacing(root / FILE, view.serialize())
-
-
-def _asked(view: sqlite3.Connection, query: Query) -> list[tuple[str, dict[str, Any]]]:
+def _select(view: sqlite3.Connection, query: Query) -> list[tuple[str, dict[str, Any]]]:
     rows = view.execute(query.select, query.values)
     return [(path, json.loads(entry)) for path, entry in rows]
 
 
-def _new() -> sqlite3.Connection:
-    view = sqlite3.connect(":memory:", isolation_level=None)
-    for statement in _TABLES:
-        view.execute(statement)
-    return view
-
-
 ALWAYS_READ = ""
-"""Stamp of a run that has to be read again whatever its files look like."""
+"""Stamp of a run that is read again by every query, whatever its files look like."""
 
 SETTLED_S = 2.0
-"""What was changed less long ago may change again within the same tick of a clock [s]."""
+"""A file that was changed less long ago may change again within the same tick of a clock [s]."""
 
 
 def stamp_of(run: Path) -> str:
-    """A text that changes whenever what the catalogue says of a run may have changed.
+    """Return a text that changes whenever the entry of a run may have changed.
 
-    `ALWAYS_READ` where that cannot be told: of a run that was changed a moment ago (as one that a
-    process holds: it touches its lock), and of one that cannot be looked into.
+    It is `ALWAYS_READ` if that cannot be known: for a run that was changed a moment ago (such as a
+    live one, whose process touches its lock), and for one that cannot be looked into.
     """
     try:
         seen = sorted(_seen(run))
@@ -187,8 +181,8 @@ _PARTS = ("evaluation.json", "model.json", "study.json")
 
 
 def _seen(run: Path) -> Iterator[tuple[str, int, int]]:
-    """Name, time of change [ns] and size of whatever tells something about a run."""
-    home = os.fspath(run)  # there are thousands: paths as text are several times quicker
+    """Yield name, time of change [ns] and size of everything that an entry depends on."""
+    home = os.fspath(run)  # text: a Path per file would be several times slower, of thousands
     yield _look("", home)
     with os.scandir(home) as entries:
         inside = [entry for entry in entries if entry.name[0] != "." or entry.name == LOCK]

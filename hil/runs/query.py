@@ -1,7 +1,8 @@
-"""`robot=ur5-* since=7d rmse<0.1 shoulder`: terms that people type, as SQL with parameters.
+"""Queries of runs, such as `robot=ur5-* since=7d rmse<0.1 shoulder`, as SQL with parameters.
 
 Every term must be met. A term is a key, a comparison and a value, or a word that is looked for in
-name, description and operator.
+name, description and operator. Terms about fits (`estimator`, `rmse`) must be met by one and the
+same fit of the run.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import math
 import re
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import date, datetime, timedelta
 from typing import Any, get_args
 
@@ -30,7 +31,7 @@ NUMBERS = ("number", "duration", "samples", "gaps", "load")
 OF_FITS = ("estimator", "rmse")
 TIMES = ("since", "until")
 KEYS = (*TEXTS, *NUMBERS, *OF_FITS, *TIMES)
-_ALSO = {"outcome": "status"}
+_SYNONYMS = {"outcome": "status"}
 _WORDS: dict[str, tuple[str, ...]] = {
     "status": tuple(word for part in get_args(ListedStatus) for word in get_args(part) or (part,)),
     "verdict": get_args(VerdictWord),
@@ -53,7 +54,7 @@ class Query:
 
     @property
     def select(self) -> str:
-        """Path and entry of the runs that are asked for."""
+        """The statement that selects path and entry of the runs."""
         where = " AND ".join(f"({one})" for one in self.conditions) or "1"
         return f"SELECT path, entry FROM runs WHERE {where}"  # noqa: S608 - values are parameters
 
@@ -67,12 +68,12 @@ class _Term:
 
 
 def sqlite_text(text: str) -> str:
-    """Text that SQLite takes: names of files, and what is typed of them, may be of any bytes."""
+    """Return a text that SQLite takes: names of files, and terms, may be of any bytes."""
     return text.encode("utf-8", "replace").decode()
 
 
 def parse(terms: Iterable[str], now: float | None = None) -> Query:
-    """The query that terms make.
+    """Return the query of some terms.
 
     Args:
         terms: As typed.
@@ -83,24 +84,32 @@ def parse(terms: Iterable[str], now: float | None = None) -> Query:
     """
     now = time.time() if now is None else now
     words: list[str] = []
-    read: list[_Term] = []
+    compared: list[_Term] = []
     for text in map(sqlite_text, terms):
-        found = _TERM.fullmatch(text.strip())
-        if found is None:
+        match = _TERM.fullmatch(text.strip())
+        if match is None:
             words.append(_word(text))
         else:
-            read.append(_term(text, *found.groups()))
-    conditions = [("instr(words, ?) > 0", (word.casefold(),)) for word in words]
-    conditions += [_condition(term, now) for term in read if term.key not in OF_FITS]
-    conditions += _of_fits([term for term in read if term.key in OF_FITS])
-    values = tuple(value for _, given in conditions for value in given)
-    return Query(tuple(sql for sql, _ in conditions), values)
+            compared.append(_term(text, *match.groups()))
+    conditions: list[Condition] = [("instr(words, ?) > 0", (word.casefold(),)) for word in words]
+    for term in compared:
+        if term.key in TIMES:
+            conditions.append(_time(term, now))
+        elif term.key in NUMBERS:
+            conditions.append((f"{term.key} {term.comparison} ?", (_number(term),)))
+        elif term.key in TEXTS:
+            conditions.append(_text(term))
+    conditions += _of_fits([term for term in compared if term.key in OF_FITS])
+    return Query(
+        tuple(sql for sql, _ in conditions),
+        tuple(value for _, values in conditions for value in values),
+    )
 
 
 def _word(text: str) -> str:
-    key = _ALSO.get(text, text)
+    key = _SYNONYMS.get(text, text)
     if key in (*NUMBERS, *OF_FITS, *TIMES):
-        # Of `duration>60` without quotes a shell leaves `duration`, and makes a file `60`.
+        # The shell takes `duration>60` without quotes as `duration`, redirected into a file `60`.
         raise SpecError(
             f"{text!r} alone asks nothing",
             hint=f"compare it with something, in quotes: '{key}{_example(key)}'",
@@ -115,9 +124,9 @@ def _example(key: str) -> str:
 
 
 def _term(text: str, key: str, comparison: str, value: str) -> _Term:
-    known = _ALSO.get(key.lower().replace("-", "_"), key.lower())
+    known = _SYNONYMS.get(key.lower().replace("-", "_"), key.lower())
     if known not in KEYS:
-        hint = did_you_mean(key, (*KEYS, *_ALSO))
+        hint = did_you_mean(key, (*KEYS, *_SYNONYMS))
         raise SpecError(f"{text!r}: runs cannot be asked for {key!r}", hint=hint)
     if not value.strip():
         raise SpecError(f"{text!r} lacks a value", hint=f"such as {known}{_example(known)}")
@@ -133,14 +142,6 @@ def _term(text: str, key: str, comparison: str, value: str) -> _Term:
     return _Term(text, known, comparison, value.strip())
 
 
-def _condition(term: _Term, now: float) -> Condition:
-    if term.key in TIMES:
-        return _time(term, now)
-    if term.key in NUMBERS:
-        return f"{term.key} {term.comparison} ?", (_number(term),)
-    return _text(term)
-
-
 def _text(term: _Term) -> Condition:
     pattern = any(letter in term.value for letter in "*?[")
     words = _WORDS.get(term.key, ())
@@ -154,24 +155,20 @@ def _text(term: _Term) -> Condition:
 
 
 def _of_fits(terms: list[_Term]) -> list[Condition]:
-    """What one and the same fit must meet, and estimators that no fit may have."""
-    without = [term for term in terms if term.key == "estimator" and term.comparison == "!="]
-    found = [_exists([_text(replaced)], "NOT ") for replaced in map(_positive, without)]
-    asked = [
+    """Return what one and the same fit must meet, and estimators that no fit may have."""
+    excluded = [term for term in terms if term.key == "estimator" and term.comparison == "!="]
+    conditions = [_exists([_text(replace(term, comparison="="))], "NOT ") for term in excluded]
+    required = [
         _text(term) if term.key == "estimator" else (f"rmse {term.comparison} ?", (_number(term),))
         for term in terms
-        if term not in without
+        if term not in excluded
     ]
-    return [*found, _exists(asked, "")] if asked else found
-
-
-def _positive(term: _Term) -> _Term:
-    return _Term(term.text, term.key, "=", term.value)
+    return [*conditions, _exists(required, "")] if required else conditions
 
 
 def _exists(conditions: list[Condition], negation: str) -> Condition:
     met = " AND ".join(f"({sql})" for sql, _ in conditions)
-    values = tuple(value for _, given in conditions for value in given)
+    values = tuple(value for _, some in conditions for value in some)
     of_run = "fits.path = runs.path"
     return f"{negation}EXISTS (SELECT 1 FROM fits WHERE {of_run} AND {met})", values  # noqa: S608
 
@@ -192,12 +189,17 @@ def _number(term: _Term) -> float:
 
 
 def _time(term: _Term, now: float) -> Condition:
-    """`7d` counts back from now; a day is of the clock on this wall, and whole."""
+    """Return a condition on the start: `7d` counts back from now, a day is whole and local time."""
     since = term.key == "since"
     sql = "started >= ?" if since else "started < ?"
+
+    def midnight(text: str) -> float:
+        day = date.fromisoformat(text) + timedelta(days=0 if since else 1)  # until its end
+        return datetime(day.year, day.month, day.day).timestamp()
+
     readers: tuple[Callable[[str], float], ...] = (
         lambda text: now - duration_of(text).total_seconds(),
-        lambda text: _midnight(date.fromisoformat(text) + timedelta(days=0 if since else 1)),
+        midnight,
         lambda text: datetime.fromisoformat(text).timestamp(),
     )
     for read in readers:
@@ -207,7 +209,3 @@ def _time(term: _Term, now: float) -> Condition:
         f"{term.text!r}: {term.value!r} is no time",
         hint=f"{term.key}=2026-11-21, {term.key}=2026-11-21T14:30 or, back from now, {term.key}=7d",
     )
-
-
-def _midnight(day: date) -> float:
-    return datetime(day.year, day.month, day.day).timestamp()
