@@ -16,7 +16,7 @@ from hil.cli.pruning import known_registries
 from hil.core.errors import RegistryError
 from hil.estimators import estimator
 from hil.models.model_registry import Registry, facts_of
-from hil.models.pointers import FILE, leave_pointer, pointed
+from hil.models.registries_file import FILE, note_registry, registries_of
 
 pytestmark = pytest.mark.quick
 
@@ -69,9 +69,9 @@ def test_runs_that_are_only_named_count_too(runs: Path, tmp_path: Path) -> None:
     estimator("rigid-wls").fit(moving(1, 2, 3), nominal()).save(model)
     data = [run_of(runs, 1), run_of(runs, 2) / "recording" / "00.mcap"]
     Registry(tmp_path / "lab").register("ur5", model, facts_of(model, data[1:]))
-    assert pointed(runs) == [tmp_path / "lab"]
+    assert registries_of(runs) == [tmp_path / "lab"]
     Registry(tmp_path / "lab").register("ur5-2", model, facts_of(model, data))
-    assert pointed(runs) == [tmp_path / "lab"]
+    assert registries_of(runs) == [tmp_path / "lab"]
 
 
 @pytest.mark.parametrize("spoilt", ["moved", "unmounted", "garbled"])
@@ -103,5 +103,5 @@ def test_without_any_registry_nothing_goes_unless_that_is_said(runs: Path) -> No
 def test_only_folders_of_runs_are_noted_in(runs: Path, tmp_path: Path) -> None:
     alone = tmp_path / "desk" / "a" / "b" / "run"
     shutil.copytree(run_of(runs, 1), alone)
-    leave_pointer(tmp_path / "lab", [alone, tmp_path / "no" / "such", tmp_path])
+    note_registry(tmp_path / "lab", [alone, tmp_path / "no" / "such", tmp_path])
     assert not list(tmp_path.rglob(FILE))

@@ -17,7 +17,7 @@ from hil.core import json_value
 from hil.core.errors import DataError, RegistryError
 from hil.models.drift import PROBES_FILE, assess, identity, probes_of
 from hil.models.model_registry import Registry
-from hil.models.pointers import pointed
+from hil.models.registries_file import registries_of
 
 MOTION = 30
 
@@ -77,7 +77,7 @@ def test_runs_of_probes_lead_to_the_registry(registry, quiet, tmp_path: Path) ->
     run.mkdir(parents=True)
     (run / "start.json").write_text("{}")
     assess(registry, "ur5", shutil.copy(quiet[0], run / "00.mcap"))
-    assert pointed(tmp_path / "runs") == [registry.root]
+    assert registries_of(tmp_path / "runs") == [registry.root]
 
 
 def test_a_new_champion_begins_anew(registry, quiet, model, tmp_path: Path) -> None:

@@ -95,11 +95,11 @@ def known_registries(runs: Path, named: list[Path] | tuple[Path, ...]) -> list[P
     Raises:
         RegistryError: One that is noted is not there.
     """
-    from hil.models import pointed
+    from hil.models import registries_of
 
     given = [*named, *([Path(told)] if (told := os.environ.get("HIL_REGISTRY")) else [])]
     usual = [place for place in (HERE, runs.resolve().parent / HERE) if place.exists()]
-    return list({one.resolve(): one for one in (*usual, *given, *pointed(runs))}.values())
+    return list({one.resolve(): one for one in (*usual, *given, *registries_of(runs))}.values())
 
 
 def _age(text: str) -> timedelta | None:

@@ -34,12 +34,12 @@ from .log import read_log as read_log
 from .model_registry import Registry as Registry
 from .model_registry import facts_of as facts_of
 from .model_registry import registry as registry
-from .pointers import pointed as pointed
 from .promotion import BLOCK_S as BLOCK_S
 from .promotion import FEWEST_BLOCKS as FEWEST_BLOCKS
 from .promotion import challenge as challenge
 from .promotion import compare_sources as compare_sources
 from .promotion import require_promoted as require_promoted
+from .registries_file import registries_of as registries_of
 from .version import ModelVersion as ModelVersion
 from .version import numbers_in as numbers_in
 from .version import read_version as read_version

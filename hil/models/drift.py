@@ -48,7 +48,7 @@ from hil.importers import load_source
 from hil.models.drift_features import UNITS, Features, features_of
 from hil.models.log import append_line, read_lines, writing
 from hil.models.model_registry import Registry
-from hil.models.pointers import leave_pointer
+from hil.models.registries_file import note_registry
 
 PROBES_FILE = "probes.jsonl"
 
@@ -176,7 +176,7 @@ def assess(
             uid, at, str(source), program, version.number, false_alarm, features,
             bool(chart.alarm.any()), found, _least(chart), chart.reference,
         )  # fmt: skip
-        leave_pointer(registry.root, [source])
+        note_registry(registry.root, [source])
         append_line(registry.root / name / PROBES_FILE, probe.to_dict())
     return probe
 
@@ -390,7 +390,7 @@ class Cause:
     text: str
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON form."""
+        """Return the JSON form."""
         return {
             "name": self.name, "change": self.change, "std": self.std, "unit": self.unit,
             "text": self.text,

@@ -57,7 +57,7 @@ class Features:
     blocks: FloatArray
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON form; NaN becomes null where it is written."""
+        """Return the JSON form; NaN becomes null when it is written."""
         return {
             "names": list(self.names),
             "values": self.values.tolist(),

@@ -1,13 +1,14 @@
-"""What was done to the models of a name: a file that only grows, one JSON line per event.
+"""The log of a name in the registry: a file that only grows, one JSON line per event.
 
 A line is committed with its newline. A torn last line is not committed, and the next writer removes
 it. Every line carries the digest of the line before, so that a changed or lost line with a
 successor is found. For the last line, `head.json` beside the log holds the number of lines and the
-digest of the last one. It is written after the line: killed between the two, it is one line behind,
-and the next writer brings it up to date. Anything else is damage, which only `repair` may rewrite.
+digest of the last one. It is written after the line: after a kill between the two it is one line
+behind, and the next writer brings it up to date. Anything else is damage, which only `repair` may
+rewrite.
 
-One writer at a time holds the lock of a name (`writing`); readers need none, as nothing that is
-there is ever changed.
+One writer at a time holds the lock of a name (`writing`); readers need none, as no line is ever
+changed.
 
 The role of each version follows from the events of the log (`Aliases.after`):
 
@@ -69,9 +70,9 @@ class Entry:
             `kept`: compared, and the champion stays; `rolled-back`: an earlier champion again;
             `head-adopted`: a log without `head.json` has one from here on; `repaired`: the log was
             rebuilt, with the champion and challenger in `evidence`.
-        version: Which it was done to; 0 for an event of the log itself.
-        at: UTC, ISO 8601.
-        by: Who did it.
+        version: Number of the version it is about; 0 for an event of the log itself.
+        at: When, UTC, ISO 8601.
+        by: User who did it.
         reason: In words.
         evidence: What it rests on, such as a comparison.
     """
@@ -85,11 +86,11 @@ class Entry:
 
     @property
     def label(self) -> str:
-        """Such as `v3`; empty for an event of the log itself."""
+        """The version, such as `v3`; empty for an event of the log itself."""
         return f"v{self.version}" if self.version else ""
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON form."""
+        """Return the JSON form."""
         return {
             "event": self.event,
             "version": self.version,
@@ -102,12 +103,12 @@ class Entry:
 
 @dataclass(frozen=True, slots=True)
 class Aliases:
-    """Versions by role; 0 where there is none.
+    """Numbers of versions by role; 0 where there is none.
 
     Attributes:
-        champion: In use.
-        challenger: To be compared with it.
-        before: The champions before, newest last.
+        champion: The version in use.
+        challenger: The version to be compared with it.
+        before: Champions before it, newest last.
     """
 
     champion: int = 0
@@ -141,7 +142,7 @@ class Aliases:
         return self
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON form."""
+        """Return the JSON form."""
         return {
             "champion": self.champion or None,
             "challenger": self.challenger or None,
@@ -171,92 +172,27 @@ class Aliases:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class Inspected:
-    """A log compared with everything that can confirm it.
-
-    Attributes:
-        entries: What is confirmed, from the first line on.
-        raw: Bytes of these lines.
-        problem: What is damaged or missing; empty where the log is sound.
-        last_sha256: Digest of the last confirmed line.
-        has_head: Whether `head.json` is there and of this log.
-        behind: Whether `head.json` lacks the last line.
-        aliases: Champion and challenger, from the best source that is left.
-        source: File that `aliases` are from.
-        lost: Versions that log or roles name and whose folders are missing.
-    """
-
-    entries: tuple[Entry, ...]
-    raw: bytes
-    problem: str
-    last_sha256: str
-    has_head: bool
-    behind: bool
-    aliases: Aliases
-    source: str
-    lost: tuple[int, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Repair:
-    """What `repair` has done.
-
-    Attributes:
-        problem: What was damaged or missing.
-        lines: Lines of the log that were confirmed, and stay.
-        lines_set_aside: Lines that were not, and are only in `aside`.
-        registered: Versions that were entered from their folders.
-        lost: Versions whose folders are missing: they have no role any more.
-        aliases: Champion and challenger now.
-        source: File that these are from.
-        aside: Folder with the files as they were.
-    """
-
-    problem: str
-    lines: int
-    lines_set_aside: int
-    registered: tuple[int, ...]
-    lost: tuple[int, ...]
-    aliases: Aliases
-    source: str
-    aside: Path
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON form."""
-        return {
-            "problem": self.problem,
-            "lines": self.lines,
-            "lines_set_aside": self.lines_set_aside,
-            "registered": list(self.registered),
-            "lost": list(self.lost),
-            "aliases": self.aliases.to_dict(),
-            "source": self.source,
-            "aside": str(self.aside),
-        }
-
-
 def read_log(folder: Path) -> tuple[Entry, ...]:
     """Return all committed lines; a torn last one is none.
 
     Raises:
         RegistryError: The log is damaged, or cannot be read.
     """
-    found = inspect(folder)
-    if found.problem:
-        raise damaged(folder, found.problem)
-    return found.entries
+    state = inspect(folder)
+    if state.problem:
+        raise damaged(folder, state.problem)
+    return state.entries
 
 
 def registered_in(log: Iterable[Entry]) -> frozenset[int]:
     """Return the versions that a log registers, without those recorded as lost by a repair."""
-    found: set[int] = set()
+    numbers: set[int] = set()
     for entry in log:
         if entry.event == "registered":
-            found.add(entry.version)
+            numbers.add(entry.version)
         elif entry.event == "repaired":
-            found.difference_update(_lost_at(entry))
-    return frozenset(found)
+            numbers.difference_update(_lost_at(entry))
+    return frozenset(numbers)
 
 
 def last_number(log: Iterable[Entry]) -> int:
@@ -279,37 +215,53 @@ def damaged(folder: Path, problem: str) -> RegistryError:
     )
 
 
-def append(folder: Path, entry: Entry) -> None:
-    """Add a line; it is there for good when this returns. The caller holds the lock.
+@dataclass(frozen=True, slots=True)
+class Inspection:
+    """The state of a log, compared with everything that can confirm it.
 
-    Raises:
-        RegistryError: The log is damaged, or cannot be written.
+    Attributes:
+        entries: Those that are confirmed, from the first line on.
+        raw: Bytes of these lines.
+        problem: What is damaged or missing; empty if the log is sound.
+        last_sha256: Digest of the last confirmed line.
+        has_head: Whether `head.json` is there and of this log.
+        behind: Whether `head.json` lacks the last line.
+        aliases: Champion and challenger, from the best source that is left.
+        source: File that `aliases` are from.
+        lost: Versions that log or roles name and whose folders are missing.
     """
-    _append(folder, settle(folder), entry)
+
+    entries: tuple[Entry, ...]
+    raw: bytes
+    problem: str
+    last_sha256: str
+    has_head: bool
+    behind: bool
+    aliases: Aliases
+    source: str
+    lost: tuple[int, ...]
 
 
-def settle(folder: Path) -> Inspected:
-    """Bring `head.json` up to date, or adopt one for an older log. The caller holds the lock.
+@dataclass(frozen=True, slots=True)
+class _Head:
+    """Number of lines, digest of the last one, and the roles after it."""
 
-    Returns:
-        The log as it is then.
-
-    Raises:
-        RegistryError: The log is damaged, or cannot be written.
-    """
-    found = inspect(folder)
-    if found.problem:
-        raise damaged(folder, found.problem)
-    if found.entries and not found.has_head and not found.behind:
-        reason = f"{HEAD_FILE} holds the number of lines and the last digest from here on"
-        _append(folder, found, Entry("head-adopted", 0, utc_now(), operator(), reason))
-        return inspect(folder)
-    if found.behind:
-        _write_head(folder, found.entries, found.last_sha256)
-    return found
+    lines: int
+    sha256: str
+    aliases: Aliases
 
 
-def inspect(folder: Path) -> Inspected:
+@dataclass(frozen=True, slots=True)
+class _Line:
+    """A committed line; `numbered` if it has its number, as lines have since there is a head."""
+
+    entry: Entry
+    raw: bytes
+    sha256: str
+    numbered: bool
+
+
+def inspect(folder: Path) -> Inspection:
     """Compare a log with its head, and one without a head with `aliases.json` and the versions.
 
     Needs no lock: head and versions are read before the log, because the log only grows. The head
@@ -356,7 +308,7 @@ def inspect(folder: Path) -> Inspected:
     lost = tuple(sorted((registered_in(entries[:confirmed]) | named) - set(there)))
     if lost:
         problem = problem or _lost_versions(folder, lost, aliases)
-    return Inspected(
+    return Inspection(
         entries[:confirmed],
         b"".join(line.raw + b"\n" for line in lines[:confirmed]),
         problem,
@@ -367,165 +319,6 @@ def inspect(folder: Path) -> Inspected:
         source,
         lost,
     )
-
-
-def repair(folder: Path) -> Repair | None:
-    """Rebuild a damaged log from its intact lines and the version folders.
-
-    Champion and challenger come from `head.json` if it records more than the log, and from
-    `aliases.json` if there is no head. Copies of the old files stay in a folder of their own.
-    After a kill on the way the log is still damaged, and `repair` can be repeated. The caller holds
-    the lock.
-
-    Returns:
-        What was done; None where the log is sound.
-
-    Raises:
-        RegistryError: A version's folder is damaged, or the folder cannot be written.
-    """
-    found = inspect(folder)
-    if not found.problem:
-        return None
-    known = registered_in(found.entries)
-    missing = [read_version(folder, one) for one in numbers_in(folder) if one not in known]
-    aside = _set_aside(folder)
-    done = Repair(
-        found.problem,
-        len(found.entries),
-        _lines_in(folder / LOG_FILE) - len(found.entries),
-        tuple(one.number for one in missing),
-        found.lost,
-        found.aliases,
-        found.source,
-        aside,
-    )
-    events = [Entry("registered", one.number, one.registered, one.by) for one in missing]
-    events.append(
-        Entry(
-            "repaired", found.aliases.champion, utc_now(), operator(), found.problem,
-            done.to_dict() | {"aside": aside.name},
-        )
-    )  # fmt: skip
-    raw, sha256 = found.raw, found.last_sha256
-    for number, entry in enumerate(events, start=len(found.entries) + 1):
-        line = _line(entry, sha256, number)
-        raw, sha256 = raw + line + b"\n", hashlib.sha256(line).hexdigest()
-    _replace(folder / LOG_FILE, raw)
-    _write_head(folder, (*found.entries, *events), sha256)
-    return done
-
-
-def write_view(folder: Path, aliases: Aliases) -> None:
-    """Write `aliases.json`, a view of the log for people."""
-    _replace(folder / ALIASES_FILE, json_document(aliases.to_dict()))
-
-
-def append_line(path: Path, document: Mapping[str, Any]) -> None:
-    """Add a line of JSON to a file that only grows; the caller holds the lock of its folder.
-
-    Raises:
-        RegistryError: It cannot be written.
-    """
-    _append_bytes(path, json_line(document).encode())
-
-
-def read_lines(path: Path) -> list[tuple[int, bytes]]:
-    """Committed lines of such a file with their numbers; a torn last one is none.
-
-    Raises:
-        RegistryError: It cannot be read.
-    """
-    try:
-        content = path.read_bytes()
-    except FileNotFoundError:
-        return []
-    except OSError as error:
-        raise RegistryError(
-            f"cannot read {path}: {error.strerror}", hint="see whether it exists and may be read"
-        ) from error
-    return list(enumerate(content.split(b"\n")[:-1], start=1))
-
-
-def _lines_in(path: Path) -> int:
-    """Return the number of lines, a torn last one included."""
-    content = path.read_bytes() if path.exists() else b""
-    return content.count(b"\n") + bool(content.rpartition(b"\n")[2])
-
-
-def _append_bytes(path: Path, line: bytes) -> None:
-    try:
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-        try:
-            os.ftruncate(descriptor, _committed(path))
-            os.lseek(descriptor, 0, os.SEEK_END)
-            _write(descriptor, line + b"\n")
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
-        fsync_directory(path.parent)
-    except OSError as error:
-        raise _cannot_write(path, error) from error
-
-
-def _cannot_write(path: Path, error: OSError) -> RegistryError:
-    return RegistryError(
-        f"cannot write {path}: {error.strerror or error}",
-        hint="see whether the folder may be written to and the disk has room",
-    )
-
-
-def _write(descriptor: int, content: bytes) -> None:
-    while content:
-        content = content[os.write(descriptor, content) :]
-
-
-def _committed(path: Path) -> int:
-    """Bytes up to the last line break."""
-    return path.read_bytes().rfind(b"\n") + 1
-
-
-@dataclass(frozen=True, slots=True)
-class _Line:
-    """A committed line; `numbered` is written since there is a head."""
-
-    entry: Entry
-    raw: bytes
-    sha256: str
-    numbered: bool
-
-
-@dataclass(frozen=True, slots=True)
-class _Head:
-    """Number of lines, digest of the last one, and the roles after it."""
-
-    lines: int
-    sha256: str
-    aliases: Aliases
-
-
-def _append(folder: Path, before: Inspected, entry: Entry) -> None:
-    line = _line(entry, before.last_sha256, len(before.entries) + 1)
-    _append_bytes(folder / LOG_FILE, line)
-    _write_head(folder, (*before.entries, entry), hashlib.sha256(line).hexdigest())
-
-
-def _line(entry: Entry, before: str, number: int) -> bytes:
-    return json_line(entry.to_dict() | {"before": before, "line": number}).encode()
-
-
-def _write_head(folder: Path, entries: Sequence[Entry], sha256: str) -> None:
-    aliases = Aliases.after(entries).to_dict()
-    document = {"hil_head": HEAD_FORMAT, "lines": len(entries), "sha256": sha256, **aliases}
-    _replace(folder / HEAD_FILE, json_document(document))
-
-
-def _replace(path: Path, content: bytes) -> None:
-    """Write a file whole, so that it is there after a power loss, too."""
-    try:
-        write_whole(path, content)
-        fsync_directory(path.parent)
-    except OSError as error:
-        raise _cannot_write(path, error) from error
 
 
 def _read_head(folder: Path) -> _Head | str:
@@ -554,6 +347,32 @@ def _read_view(folder: Path) -> Aliases | None:
         return Aliases.from_dict(json.loads((folder / ALIASES_FILE).read_bytes()))
     except (OSError, ValueError, TypeError, KeyError, RecursionError):
         return None  # a view may be missing
+
+
+def _chain(folder: Path) -> tuple[list[_Line], str]:
+    """Return the committed lines up to the first broken link, and the problem there."""
+    path = folder / LOG_FILE
+    lines: list[_Line] = []
+    for number, raw in read_lines(path):
+        try:
+            document = json.loads(raw)
+            linked = document.pop("before") == (lines[-1].sha256 if lines else "")
+            numbered = document.pop("line", None)
+            entry = Entry(**document)
+            if entry.event not in get_args(Event) or not isinstance(entry.version, int):
+                raise ValueError(f"{entry.event!r} of {entry.version!r}")
+            Aliases.after([entry])  # raises if the evidence of a repair is garbled
+            last_number([entry])
+        except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+            return lines, f"{path}:{number}: damaged: {error}"
+        if not linked or numbered not in (None, number):
+            # The line before may be the changed one: the digest here is of what it was.
+            return lines[:-1], (
+                f"{path}:{number} does not follow the line before it: the log was changed"
+            )
+        sha256 = hashlib.sha256(raw).hexdigest()
+        lines.append(_Line(entry, raw, sha256, numbered is not None))
+    return lines, ""
 
 
 def _states(entries: Sequence[Entry]) -> list[Aliases]:
@@ -604,30 +423,149 @@ def _lost_versions(folder: Path, lost: Sequence[int], aliases: Aliases) -> str:
     return f"{folder}: missing version folders that {LOG_FILE} names: {names}"
 
 
-def _chain(folder: Path) -> tuple[list[_Line], str]:
-    """Return the committed lines up to the first broken link, and the problem there."""
-    path = folder / LOG_FILE
-    found: list[_Line] = []
-    for number, raw in read_lines(path):
-        try:
-            document = json.loads(raw)
-            linked = document.pop("before") == (found[-1].sha256 if found else "")
-            numbered = document.pop("line", None)
-            entry = Entry(**document)
-            if entry.event not in get_args(Event) or not isinstance(entry.version, int):
-                raise ValueError(f"{entry.event!r} of {entry.version!r}")
-            Aliases.after([entry])
-            last_number([entry])
-        except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
-            return found, f"{path}:{number}: damaged: {error}"
-        if not linked or numbered not in (None, number):
-            # The line before may be the changed one: the digest here is of what it was.
-            return found[:-1], (
-                f"{path}:{number} does not follow the line before it: the log was changed"
-            )
-        sha256 = hashlib.sha256(raw).hexdigest()
-        found.append(_Line(entry, raw, sha256, numbered is not None))
-    return found, ""
+def append(folder: Path, entry: Entry) -> None:
+    """Add a line; it is there for good when this returns. The caller holds the lock.
+
+    Raises:
+        RegistryError: The log is damaged, or cannot be written.
+    """
+    _append(folder, settle(folder), entry)
+
+
+def settle(folder: Path) -> Inspection:
+    """Bring `head.json` up to date, or adopt one for an older log. The caller holds the lock.
+
+    Returns:
+        The log as it is then.
+
+    Raises:
+        RegistryError: The log is damaged, or cannot be written.
+    """
+    state = inspect(folder)
+    if state.problem:
+        raise damaged(folder, state.problem)
+    if state.entries and not state.has_head and not state.behind:
+        reason = f"{HEAD_FILE} holds the number of lines and the last digest from here on"
+        _append(folder, state, Entry("head-adopted", 0, utc_now(), operator(), reason))
+        return inspect(folder)
+    if state.behind:
+        _write_head(folder, state.entries, state.last_sha256)
+    return state
+
+
+def _append(folder: Path, before: Inspection, entry: Entry) -> None:
+    line = _line(entry, before.last_sha256, len(before.entries) + 1)
+    _append_bytes(folder / LOG_FILE, line)
+    _write_head(folder, (*before.entries, entry), hashlib.sha256(line).hexdigest())
+
+
+def _line(entry: Entry, before: str, number: int) -> bytes:
+    return json_line(entry.to_dict() | {"before": before, "line": number}).encode()
+
+
+def _write_head(folder: Path, entries: Sequence[Entry], sha256: str) -> None:
+    aliases = Aliases.after(entries).to_dict()
+    document = {"hil_head": HEAD_FORMAT, "lines": len(entries), "sha256": sha256, **aliases}
+    _replace(folder / HEAD_FILE, json_document(document))
+
+
+def _replace(path: Path, content: bytes) -> None:
+    """Write a file whole, so that it is there after a power loss, too."""
+    try:
+        write_whole(path, content)
+        fsync_directory(path.parent)
+    except OSError as error:
+        raise _cannot_write(path, error) from error
+
+
+@dataclass(frozen=True, slots=True)
+class Repair:
+    """What `repair` has done.
+
+    Attributes:
+        problem: What was damaged or missing.
+        lines: Lines of the log that were confirmed, and stay.
+        lines_set_aside: Lines that were not, and are only in `aside`.
+        registered: Versions that were entered from their folders.
+        lost: Versions whose folders are missing: they have no role any more.
+        aliases: Champion and challenger now.
+        source: File that these are from.
+        aside: Folder with the files as they were.
+    """
+
+    problem: str
+    lines: int
+    lines_set_aside: int
+    registered: tuple[int, ...]
+    lost: tuple[int, ...]
+    aliases: Aliases
+    source: str
+    aside: Path
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON form."""
+        return {
+            "problem": self.problem,
+            "lines": self.lines,
+            "lines_set_aside": self.lines_set_aside,
+            "registered": list(self.registered),
+            "lost": list(self.lost),
+            "aliases": self.aliases.to_dict(),
+            "source": self.source,
+            "aside": str(self.aside),
+        }
+
+
+def repair(folder: Path) -> Repair | None:
+    """Rebuild a damaged log from its intact lines and the version folders.
+
+    Champion and challenger come from `head.json` if it records more than the log, and from
+    `aliases.json` if there is no head. Copies of the old files stay in a folder of their own.
+    After a kill on the way the log is still damaged, and `repair` can be repeated. The caller holds
+    the lock.
+
+    Returns:
+        What was done; None where the log is sound.
+
+    Raises:
+        RegistryError: A version's folder is damaged, or the folder cannot be written.
+    """
+    state = inspect(folder)
+    if not state.problem:
+        return None
+    known = registered_in(state.entries)
+    missing = [read_version(folder, one) for one in numbers_in(folder) if one not in known]
+    aside = _set_aside(folder)
+    outcome = Repair(
+        state.problem,
+        len(state.entries),
+        _lines_in(folder / LOG_FILE) - len(state.entries),
+        tuple(one.number for one in missing),
+        state.lost,
+        state.aliases,
+        state.source,
+        aside,
+    )
+    events = [Entry("registered", one.number, one.registered, one.by) for one in missing]
+    events.append(
+        Entry(
+            "repaired", state.aliases.champion, utc_now(), operator(), state.problem,
+            outcome.to_dict() | {"aside": aside.name},
+        )
+    )  # fmt: skip
+    raw, sha256 = state.raw, state.last_sha256
+    for number, entry in enumerate(events, start=len(state.entries) + 1):
+        line = _line(entry, sha256, number)
+        raw, sha256 = raw + line + b"\n", hashlib.sha256(line).hexdigest()
+    _replace(folder / LOG_FILE, raw)
+    _write_head(folder, (*state.entries, *events), sha256)
+    return outcome
+
+
+def _lines_in(path: Path) -> int:
+    """Return the number of lines, a torn last one included."""
+    content = path.read_bytes() if path.exists() else b""
+    return content.count(b"\n") + bool(content.rpartition(b"\n")[2])
 
 
 def _set_aside(folder: Path) -> Path:
@@ -652,6 +590,69 @@ def _set_aside(folder: Path) -> Path:
     return aside
 
 
+def write_view(folder: Path, aliases: Aliases) -> None:
+    """Write `aliases.json`, a view of the log for people."""
+    _replace(folder / ALIASES_FILE, json_document(aliases.to_dict()))
+
+
+def append_line(path: Path, document: Mapping[str, Any]) -> None:
+    """Add a line of JSON to a file that only grows; the caller holds the lock of its folder.
+
+    Raises:
+        RegistryError: It cannot be written.
+    """
+    _append_bytes(path, json_line(document).encode())
+
+
+def read_lines(path: Path) -> list[tuple[int, bytes]]:
+    """Return the committed lines of such a file with their numbers; a torn last one is none.
+
+    Raises:
+        RegistryError: It cannot be read.
+    """
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError:
+        return []
+    except OSError as error:
+        raise RegistryError(
+            f"cannot read {path}: {error.strerror}", hint="see whether it exists and may be read"
+        ) from error
+    return list(enumerate(content.split(b"\n")[:-1], start=1))
+
+
+def _append_bytes(path: Path, line: bytes) -> None:
+    try:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        try:
+            os.ftruncate(descriptor, _committed(path))
+            os.lseek(descriptor, 0, os.SEEK_END)
+            _write(descriptor, line + b"\n")
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+        fsync_directory(path.parent)
+    except OSError as error:
+        raise _cannot_write(path, error) from error
+
+
+def _cannot_write(path: Path, error: OSError) -> RegistryError:
+    return RegistryError(
+        f"cannot write {path}: {error.strerror or error}",
+        hint="see whether the folder may be written to and the disk has room",
+    )
+
+
+def _write(descriptor: int, content: bytes) -> None:
+    while content:
+        content = content[os.write(descriptor, content) :]
+
+
+def _committed(path: Path) -> int:
+    """Bytes up to the last line break."""
+    return path.read_bytes().rfind(b"\n") + 1
+
+
 LOCK_FILE = ".lock"
 PATIENCE_S = 30.0
 """Longest wait for another writer: registering copies files, promoting writes a line."""
@@ -661,10 +662,10 @@ _POLL_S = 0.01
 
 @contextmanager
 def writing(folder: Path, patience_s: float = PATIENCE_S) -> Iterator[None]:
-    """Hold the lock of a name. The kernel frees it when its holder dies, however it does.
+    """Hold the lock of a name while inside; the kernel frees it when its holder dies.
 
     Raises:
-        RegistryError: It cannot be made, or another process does not let it go.
+        RegistryError: It cannot be made, or another process keeps it for longer than `patience_s`.
     """
     from filelock import FileLock, Timeout
 

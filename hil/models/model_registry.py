@@ -1,8 +1,8 @@
-"""Models under names, in versions: registered, promoted, rolled back.
+"""The registry: models under names, in versions; registered, promoted, rolled back.
 
-Whatever is committed stays: folders appear whole, the log only grows, and nothing is deleted. A
-process that dies between the two leaves a version that the log does not know yet; the next writer
-enters it. What is known of where a model came from is collected when it is registered
+Whatever is committed stays: a version's folder appears whole, the log only grows, and nothing is
+deleted. A process that dies between folder and log leaves a version that the log does not have yet;
+the next writer enters it (`_adopt`). Where a model came from is collected when it is registered
 (`facts_of`).
 """
 
@@ -46,7 +46,7 @@ from hil.models.log import (
     write_view,
     writing,
 )
-from hil.models.pointers import leave_pointer
+from hil.models.registries_file import note_registry
 from hil.models.version import (
     VERSION_FILE,
     ModelVersion,
@@ -63,7 +63,7 @@ FEW = 5
 
 
 def registry(folder: AnyPath = "registry") -> Registry:
-    """Models under names, in versions: who is champion, who was, and why.
+    """Return the registry of a folder: models under names, in versions, with their champions.
 
     Args:
         folder: Made when something is registered.
@@ -85,7 +85,7 @@ class Registry:
         return f"<Registry {self.root}: {', '.join(self.names()) or 'no models'}>"
 
     def _repr_html_(self) -> str:
-        """Itself in a notebook: a row per name."""
+        """Return the card for a notebook: a row per name."""
         rows = []
         for name in self.names():
             labels = ("log damaged", "–")
@@ -98,7 +98,7 @@ class Registry:
         return card("Registry", self.root, {}, table=(head, rows) if rows else None, notes=notes)
 
     def names(self) -> list[str]:
-        """Names that have versions or have lost them without a repair, in order."""
+        """Return the names that have versions, or have lost them without a repair, in order."""
         if not self.root.is_dir():
             return []
         return sorted(
@@ -108,7 +108,7 @@ class Registry:
         )
 
     def versions(self, name: str) -> list[ModelVersion]:
-        """All of a name, oldest first; none if all folders are missing.
+        """Return all versions of a name, oldest first; none if all folders are missing.
 
         Raises:
             RegistryError: There is no such name, or one is damaged.
@@ -117,7 +117,7 @@ class Registry:
         return [read_version(home, number) for number in numbers_in(home)]
 
     def log(self, name: str) -> tuple[Entry, ...]:
-        """What was done to a name's versions.
+        """Return what was done to the versions of a name, oldest first.
 
         Raises:
             RegistryError: There is no such name, or its log is damaged.
@@ -125,11 +125,15 @@ class Registry:
         return read_log(self._home(name))
 
     def aliases(self, name: str) -> Aliases:
-        """Champion and challenger by the log."""
+        """Return champion, challenger and earlier champions, by the log.
+
+        Raises:
+            RegistryError: There is no such name, or its log is damaged.
+        """
         return Aliases.after(self.log(name))
 
     def version(self, name: str, which: str = "champion") -> ModelVersion:
-        """A version by `champion`, `challenger` or number (`3`, `v3`).
+        """Return a version by `champion`, `challenger` or number (`3`, `v3`).
 
         Raises:
             RegistryError: There is none.
@@ -150,7 +154,7 @@ class Registry:
         return read_version(home, int(digits))
 
     def load(self, name: str, which: str = "champion") -> RobotEstimator:
-        """The model itself, its files compared with their digests first.
+        """Return the model of a version; its files are compared with their digests first.
 
         Raises:
             RegistryError: There is none, or its files were changed.
@@ -173,41 +177,44 @@ class Registry:
         Args:
             name: Such as the robot's in its station.
             model: Folder; read once, so that it may change or go afterwards.
-            facts: What is known of it; by default what `hil.models.model_registry.facts_of` tells.
+            facts: What is known of it; by default those of `hil.models.model_registry.facts_of`.
             challenger: Make it the one to be compared with the champion.
+
+        Returns:
+            The new version, or the one that has the same files.
 
         Raises:
             RegistryError: The name cannot be, or the registry cannot be written.
             DataError: The folder holds no model that can be read.
-            SpecError: The facts are none.
+            SpecError: The facts are no values by name.
         """
         require_name(name)
         model = Path(model)
-        load_model_file(model)
-        known_of = _facts(model, facts)
+        load_model_file(model)  # what cannot be read is not registered
+        facts = facts_of(model) if facts is None else _require_facts(facts)
         files = {p.name: p.read_bytes() for p in sorted(model.iterdir()) if p.is_file()}
         files.pop(VERSION_FILE, None)
         home = self.root / name
         with writing(home):
             self._adopt(home)
             digest = digest_of(files)
-            known = [read_version(home, number) for number in numbers_in(home)]
-            found = next((one for one in known if one.digest == digest), None)
-            # Before the version: what it came from must not go in between.
-            leave_pointer(self.root, _sources(model, known_of))
-            if found is None:
+            versions = [read_version(home, number) for number in numbers_in(home)]
+            version = next((one for one in versions if one.digest == digest), None)
+            # Before the version: the runs it came from must not be deleted in between.
+            note_registry(self.root, _sources(model, facts))
+            if version is None:
                 # A number that the log has named stays taken, even if its folder is lost.
                 number = max([*numbers_in(home), last_number(read_log(home))]) + 1
-                named = {file: hashlib.sha256(raw).hexdigest() for file, raw in files.items()}
-                at, by, where = utc_now(), operator(), folder_of(home, number)
-                found = ModelVersion(name, number, where, digest, at, by, known_of, named)
-                write_version(home, found, files)
+                digests = {file: hashlib.sha256(raw).hexdigest() for file, raw in files.items()}
+                at, by, folder = utc_now(), operator(), folder_of(home, number)
+                version = ModelVersion(name, number, folder, digest, at, by, facts, digests)
+                write_version(home, version, files)
                 self._adopt(home)
             # A champion cannot challenge itself.
             now = Aliases.after(read_log(home))
-            if challenger and found.number not in (now.champion, now.challenger):
-                self._do(home, "challenger", found.number)
-        return found
+            if challenger and version.number not in (now.champion, now.challenger):
+                self._log(home, "challenger", version.number)
+        return version
 
     def promote(
         self, name: str, number: int, *, reason: str, evidence: Mapping[str, Any], instead_of: int
@@ -215,10 +222,10 @@ class Registry:
         """Make a version the champion.
 
         Args:
-            name: Whose.
-            number: Which.
+            name: Of the models.
+            number: Of the version.
             reason: In words.
-            evidence: What it rests on.
+            evidence: What the decision rests on, such as a comparison.
             instead_of: Champion it was compared with, 0 for none.
 
         Raises:
@@ -237,7 +244,7 @@ class Registry:
                     "become champion meanwhile",
                     hint="compare it with that one",
                 )
-            return self._do(home, "promoted", number, reason, evidence)
+            return self._log(home, "promoted", number, reason, evidence)
 
     def keep(self, name: str, number: int, *, reason: str, evidence: Mapping[str, Any]) -> Aliases:
         """Note that a version was compared, and that the champion stays.
@@ -249,7 +256,7 @@ class Registry:
         read_version(home, number)
         with writing(home):
             self._adopt(home)
-            return self._do(home, "kept", number, reason, evidence)
+            return self._log(home, "kept", number, reason, evidence)
 
     def roll_back(self, name: str, *, reason: str, to: int = 0) -> Aliases:
         """Make the champion before the present one champion again, or an earlier one.
@@ -270,10 +277,10 @@ class Registry:
                 )
             target = to or before[-1]
             read_version(home, target).verify()
-            return self._do(home, "rolled-back", target, reason)
+            return self._log(home, "rolled-back", target, reason)
 
     def rebuild(self, name: str) -> Aliases:
-        """Make the views from versions and log, and enter versions a crash has kept from it.
+        """Make the view from the log anew, after entering versions that a crash has left out of it.
 
         Raises:
             RegistryError: There is no such name, or its log is damaged: nothing is written then.
@@ -306,10 +313,10 @@ class Registry:
         """
         home = self._home(name)
         with writing(home):
-            done = repair(home)
+            outcome = repair(home)
             self._adopt(home)
             _view(home)
-            return done
+            return outcome
 
     def _home(self, name: str) -> Path:
         require_name(name)
@@ -319,7 +326,7 @@ class Registry:
         return home
 
     def _others(self, name: str) -> str:
-        """What is there instead of a name that is not."""
+        """Return the hint for a name that is not there."""
         names = self.names()
         if guess := closest(name, names):
             return f"did you mean {guess!r}?"
@@ -327,14 +334,14 @@ class Registry:
         return f"there is {few}: hil models list" if names else "register one: hil models register"
 
     def _adopt(self, home: Path) -> None:
-        """Enter versions that are there and not in the log, which must be sound."""
-        known = registered_in(settle(home).entries)
+        """Enter versions whose folders are there into the log, which must be sound."""
+        logged = registered_in(settle(home).entries)
         for number in numbers_in(home):
-            if number not in known:
+            if number not in logged:
                 version = read_version(home, number)
                 append(home, Entry("registered", number, version.registered, version.by))
 
-    def _do(
+    def _log(
         self,
         home: Path,
         event: Event,
@@ -350,10 +357,7 @@ def _label(number: int) -> str:
     return f"v{number}" if number else "–"
 
 
-def _facts(model: Path, facts: Mapping[str, Any] | None) -> dict[str, Any]:
-    """What was told, or what the model's folder and its run tell."""
-    if facts is None:
-        return facts_of(model)
+def _require_facts(facts: Mapping[str, Any]) -> dict[str, Any]:
     if not isinstance(facts, Mapping):
         raise SpecError(
             f"facts are {facts!r:.80}, not values by name",
@@ -363,7 +367,7 @@ def _facts(model: Path, facts: Mapping[str, Any] | None) -> dict[str, Any]:
 
 
 def _sources(model: Path, facts: Mapping[str, Any]) -> list[Path]:
-    """Where a model lies and came from, as far as known."""
+    """Return where a model lies and what it was fitted to, as far as known."""
     folder = (facts.get("run") or {}).get("folder")
     return [model, *(Path(str(one)) for one in (folder, *facts.get("data", ())) if one)]
 
@@ -398,14 +402,14 @@ FIT_FOLDER = "fit"
 
 
 def facts_of(model: Path, sources: Iterable[Path] = ()) -> dict[str, Any]:
-    """Facts of a model folder.
+    """Return what is known of where a model came from, for `version.json`.
 
-    A model under `RUN/fit/`, or fitted to one run alone, is of that run, whose recordings' digests
-    are in the run.
+    A model under `RUN/fit/`, or fitted to one run alone, is of that run, which has the digests of
+    its recordings.
 
     Args:
         model: Its folder.
-        sources: Recordings it was fitted to, where it is not of a run.
+        sources: Recordings it was fitted to, if it is not of a run.
 
     Raises:
         DataError: The model's documents or the run's cannot be read.
@@ -435,28 +439,28 @@ def facts_of(model: Path, sources: Iterable[Path] = ()) -> dict[str, Any]:
 
 
 def _digests(run: Path | None, sources: Iterable[Path]) -> dict[str, str]:
-    """Path → SHA-256 of recordings: those a finished run has noted, and those named.
+    """Return path → SHA-256 of recordings: those a finished run has noted, and the sources.
 
-    Recordings of several runs have the same names: where another has it, the whole path is told.
+    Recordings of several runs have the same names: the second of a name stands with its whole path.
     """
-    found: dict[str, str] = {}
+    digests: dict[str, str] = {}
     for stop in sorted(run.glob("stop*.json")) if run is not None else ():  # one per attempt
         noted = read_json(stop).get("sha256", {})
-        found |= {name: digest for name, digest in noted.items() if _is_recording(name)}
+        # Also one that a crash has cut off: what is whole in it is learned from.
+        digests |= {
+            name: digest
+            for name, digest in noted.items()
+            if name.removesuffix(PARTIAL_SUFFIX).endswith(".mcap")
+        }
     for source in sources:
         if not source.exists():
             raise RegistryError(f"{source} is not there", hint="name the recordings as they are")
         whole = source.is_dir()
         noted = _digests(source, ()) if whole else {source.name: sha256_of(source)}
         for name, digest in noted.items():
-            taken = found.get(name, digest) != digest
-            found[str((source if whole else source.parent) / name) if taken else name] = digest
-    return found
-
-
-def _is_recording(name: str) -> bool:
-    """Also one that a crash has cut off: what is whole in it is learned from."""
-    return name.removesuffix(PARTIAL_SUFFIX).endswith(".mcap")
+            taken = digests.get(name, digest) != digest
+            digests[str((source if whole else source.parent) / name) if taken else name] = digest
+    return digests
 
 
 def _run(run: Path | None) -> dict[str, Any] | None:
@@ -464,26 +468,30 @@ def _run(run: Path | None) -> dict[str, Any] | None:
         return None
     start = read_json(run / "start.json")
     keys = ("uid", "started", "operator", "host", "experiment", "robot_name", "seed")
-    told = {key: start.get(key) for key in keys} | {"folder": str(run)}
     verdict = run / "verdict.json"
-    return told | {"verdict": read_json(verdict) if verdict.is_file() else None}
+    return {
+        **{key: start.get(key) for key in keys},
+        "folder": str(run),
+        "verdict": read_json(verdict) if verdict.is_file() else None,
+    }
 
 
 def _evaluation(model: Path) -> Any:
-    """The totals of `evaluation.json`; its tables stay in the file."""
+    """Return the totals of `evaluation.json`; its tables stay in the file."""
     path = model / EVALUATION_FILE
     if not path.is_file():
         return None
     try:
-        held = json.loads(path.read_bytes())
+        document = json.loads(path.read_bytes())
     except ValueError as error:
         raise DataError(f"{path} is no evaluation: {error}", hint="fit the model again") from error
-    if not isinstance(held, dict):
+    if not isinstance(document, dict):
         return None
-    held_out = held.get("held_out") or {}
+    held_out = document.get("held_out") or {}
+    # A run has one hold-out of its own, `hil fit` an entry per held-out source.
     parts = [
         {"source": held_out.get("what", ""), **held_out},
-        *({"total": one, **one} for one in held.get("validation") or ()),
+        *({"total": one, **one} for one in document.get("validation") or ()),
     ]
     keys = ("source", "unit", "total", "notes")
     return [{key: part[key] for key in keys if part.get(key)} for part in parts if "total" in part]

@@ -1,12 +1,12 @@
-"""Champion and challenger: compared on data neither was fitted to, and promoted if that is sure.
+"""Champion and challenger: compared on data that neither was fitted to; the better one is promoted.
 
-Errors of neighbouring samples are alike, so data count by blocks of time; so are those of the same
-motion driven again, so that blocks of one place of it count once. Each says by how much the
-challenger's squared error differs from the champion's, every joint as a share of the champion's
-own; Student's t of the blocks says what the difference may be with 95 % (`Comparison`).
+The unit of the comparison is a block of 5 s, since errors of neighbouring samples are alike. So are
+those of the same motion driven again, and blocks at the same place of a motion count once. Each
+block has the difference of the two squared errors, per joint as a share of the champion's own;
+Student's t over the blocks gives the 95 % interval of the mean (`Comparison`).
 
-All data of one day share its room and its warmth: however many they are, they are sure of that day
-alone. Where there are several days, a day counts once (`Days`).
+All data of one day share its room temperature and its warm-up: however many they are, they say
+something about that day alone. With recordings of several days, each day counts once (`Days`).
 """
 
 from __future__ import annotations
@@ -36,25 +36,20 @@ from hil.importers import load_source
 from hil.models.model_registry import Registry
 from hil.models.version import ModelVersion
 
-WORST_JOINT = 1.25
-"""So does one that errs more than so many times what it did, sure or not: data may be few."""
-
-NOTICED = 1.05
-"""A joint that errs for sure, and more than so many times what it did, keeps the champion."""
-
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """What came of a challenge.
+    """The result of a challenge.
 
     Attributes:
-        version: That was to be promoted.
-        instead_of: Champion it was compared with; None where there was none.
+        version: The challenger.
+        instead_of: Champion it was compared with; None without one.
         promoted: Whether it is champion now.
         reason: Why, or why not.
         comparison: None without a champion.
         verdicts: Per source, on the criteria.
-        days: The comparison with earlier days; None where there were none, or no need to look.
+        days: The comparison over several days; None if there was no other day, or if the challenger
+            had lost already.
     """
 
     version: ModelVersion
@@ -66,7 +61,7 @@ class Decision:
     days: Days | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """The contract of `hil models promote --json`."""
+        """Return the contract of `hil models promote --json`."""
         return {
             "name": self.version.name,
             "version": self.version.label,
@@ -77,7 +72,7 @@ class Decision:
 
     @property
     def evidence(self) -> dict[str, Any]:
-        """What it rests on."""
+        """What the decision rests on, as the log has it."""
         return {
             "comparison": self.comparison and self.comparison.to_dict(),
             "criteria": [verdict.to_dict() for verdict in self.verdicts],
@@ -99,19 +94,19 @@ def challenge(
 
     Args:
         registry: Where both are.
-        name: Whose.
+        name: Of the models.
         which: `challenger` or a version.
-        sources: Recordings neither has seen.
+        sources: Recordings neither was fitted to.
         criteria: Every one has to be met on every source.
-        unless_worse: Promote also what errs neither less for sure nor more.
-        reason: Why somebody wants it; put before what the comparison says.
-        earlier: Recordings of days before, one each, since when the robot has not changed: it is
-            to err less on these days, too.
+        unless_worse: Promote also if the difference is not significant and not for the worse.
+        reason: Why the version was made; put before what the comparison says.
+        earlier: Recordings of earlier days, one each, since when the robot has not changed: the
+            challenger has to err less over all of these days, too.
 
     Raises:
         DataError: A source cannot be read, or one of the models was fitted to it.
-        RegistryError: A version is missing or damaged, the data are too short, or another champion
-            was made meanwhile.
+        RegistryError: A version is missing or damaged, the data are too short, or another version
+            became champion meanwhile.
     """
     version = registry.version(name, which)
     model = registry.load(name, version.label)
@@ -119,44 +114,45 @@ def challenge(
     champion = registry.version(name, f"v{number}") if number else None
     parts = unseen_parts((model,), sources)
     verdicts = tuple(judge(evaluate(model, part), criteria) for part in parts)
-    compared = days = None
+    comparison = days = None
     if champion is not None and champion.number != version.number:
         old = registry.load(name, champion.label)
-        compared = compare_sources(old, model, sources)
-    good, words = _decide(compared, verdicts, unless_worse)
-    if good and compared is not None and earlier:
+        comparison = compare_sources(old, model, sources)
+    good, words = _decide(comparison, verdicts, unless_worse)
+    if good and comparison is not None and earlier:
         days = over_days(old, model, [sources, *([source] for source in earlier)])
         good = days.less
         words += f", {days.words}" if good else f", but {days.words}: the robot is as it was"
     if good and version.number == number:
         words = "it was so before"
-    told = f"{reason}: {words}" if reason else words
-    decision = Decision(version, champion, good, told, compared, verdicts, days)
+    reason = f"{reason}: {words}" if reason else words
+    decision = Decision(version, champion, good, reason, comparison, verdicts, days)
     evidence = decision.evidence
     if good:
-        registry.promote(name, version.number, reason=told, evidence=evidence, instead_of=number)
+        registry.promote(name, version.number, reason=reason, evidence=evidence, instead_of=number)
     else:
-        registry.keep(name, version.number, reason=told, evidence=evidence)
+        registry.keep(name, version.number, reason=reason, evidence=evidence)
     return decision
 
 
 def _decide(
-    compared: Comparison | None, verdicts: Sequence[Verdict], unless_worse: bool
+    comparison: Comparison | None, verdicts: Sequence[Verdict], unless_worse: bool
 ) -> tuple[bool, str]:
+    """Return whether the challenger is to be promoted, and why."""
     missed = [row for verdict in verdicts for row in verdict.rows if not row.passed]
     if missed:
         row = missed[0]
         limit = f"{row.criterion.metric} of {row.what} is {row.value:.4g}"
         words = f"{len(missed)} criteria are missed: {limit}, at most {row.criterion.max:g}"
         return False, words
-    if compared is None:
+    if comparison is None:
         return True, "there is no other champion"
-    good = compared.better or (unless_worse and not compared.worse)
-    return good, compared.words
+    good = comparison.better or (unless_worse and not comparison.worse)
+    return good, comparison.words
 
 
 def require_promoted(decision: Decision) -> None:
-    """For command lines: a challenger that was not promoted is a bad result, not a fault.
+    """Raise if a challenger was not promoted, for command lines: a bad result, not a broken rig.
 
     Raises:
         Rejected: It was not.
@@ -172,7 +168,12 @@ def require_promoted(decision: Decision) -> None:
 
 SURE = 0.95
 
-FEWEST_BLOCKS = 4
+WORST_JOINT = 1.25
+"""A joint whose RMSE grows by more than this factor keeps the champion, significant or not: there
+may be too few data for significance."""
+
+NOTICED = 1.05
+"""A joint whose RMSE grows by more than this factor keeps the champion if that is significant."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -183,13 +184,13 @@ class Comparison:
         unit: Of the errors.
         joint_names: Length n.
         sources: What they were compared on.
-        samples: Rows.
-        blocks: Of time, at distinct places of the motions.
+        samples: Number of rows.
+        blocks: Number of blocks of time, at distinct places of the motions.
         champion, challenger: (n,) RMSE against the filtered effort.
         difference: Mean over joints and blocks of the squared error's difference, as a share of the
             champion's squared error; negative where the challenger errs less.
-        interval: Of that, with 95 %.
-        surely_more: (n,) whether a joint errs more, of all joints together with 95 %.
+        interval: 95 % interval of `difference`.
+        surely_more: (n,) whether a joint errs more, with 95 % for all joints together.
     """
 
     unit: str
@@ -205,44 +206,42 @@ class Comparison:
 
     @property
     def better(self) -> bool:
-        """The challenger errs less for sure, and in no joint clearly more."""
+        """Whether the challenger errs significantly less, and in no joint much more."""
         return self.interval[1] < 0.0 and not bool(np.any(self.spoilt))
 
     @property
     def worse(self) -> bool:
-        """The challenger errs more, by whatever: such a one is never promoted."""
+        """Whether the challenger errs more, significantly or not: it is never promoted then."""
         return self.difference > 0.0 or bool(np.any(self.spoilt))
 
     @property
     def spoilt(self) -> BoolArray:
-        """(n,) joints that err so much more that the others do not make up for it."""
+        """(n,) whether a joint errs so much more that the other joints do not make up for it."""
         return (self.ratio > WORST_JOINT) | (self.surely_more & (self.ratio > NOTICED))
 
     @property
     def ratio(self) -> FloatArray:
-        """(n,) of the challenger's RMSE to the champion's."""
-        least = np.finfo(np.float64).tiny
-        found: FloatArray = self.challenger / np.maximum(self.champion, least)
-        return found
+        """(n,) ratio of the challenger's RMSE to the champion's."""
+        return self.challenger / np.maximum(self.champion, np.finfo(np.float64).tiny)
 
     @property
     def words(self) -> str:
-        """One sentence."""
+        """The result in one sentence."""
         low, high = (100.0 * bound for bound in self.interval)
         spread = f"{100.0 * self.difference:+.1f} % squared error ({low:+.1f} … {high:+.1f})"
         if self.better:
             return f"the challenger errs less: {spread}"
         if bool(np.any(self.spoilt)) and self.difference <= 0.0:
             j = int(np.argmax(np.where(self.spoilt, self.ratio, 0.0)))
-            told = f"{self.joint_names[j]} errs {self.ratio[j]:.2f} times as much"
-            return f"{told}, though in all {spread}"
+            joint = f"{self.joint_names[j]} errs {self.ratio[j]:.2f} times as much"
+            return f"{joint}, though in all {spread}"
         return f"the challenger errs {'more' if self.worse else 'no less that is sure'}: {spread}"
 
     def __repr__(self) -> str:
         return f"<Comparison on {self.samples} samples: {self.words}>"
 
     def _repr_html_(self) -> str:
-        """Itself in a notebook."""
+        """Return the card for a notebook."""
         badge: tuple[str, Tone] = ("not better for sure", "warn")
         if self.better or self.worse:
             badge = ("better", "pass") if self.better else ("worse", "fail")
@@ -258,7 +257,7 @@ class Comparison:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON form; the evidence of a promotion."""
+        """Return the JSON form; part of the evidence of a promotion."""
         return {
             "unit": self.unit,
             "joint_names": list(self.joint_names),
@@ -291,9 +290,9 @@ def compare_sources(
 
 
 def unseen_parts(models: Sequence[RobotEstimator], sources: Sequence[Path]) -> list[Dataset]:
-    """What of each source the models work on and none was fitted to.
+    """Return the part of each source that the models work on and none was fitted to.
 
-    Of a run that one of them comes from these are the trajectories that were held out.
+    From a run that one of the models was fitted to, these are the trajectories that were held out.
 
     Raises:
         DataError: A source cannot be read, or one of the models was fitted to all of it.
@@ -305,23 +304,24 @@ def unseen_parts(models: Sequence[RobotEstimator], sources: Sequence[Path]) -> l
         if len(fresh := fresh_part(models, data)):
             data = fresh
         for model in models:
-            require_unseen(model, source, data)
+            require_unseen(model, source, data)  # without a fresh part it says which model knows it
         parts.append(data)
     return parts
 
 
 def fresh_part(models: Sequence[RobotEstimator], data: Dataset) -> Dataset:
-    """The series that no model knows; whole ones, since neighbouring samples are alike."""
-    fresh = [i for i in range(len(data.conditions)) if not _knows(models, data.take([i]))]
-    return data.take(fresh)
+    """Return the series that no model was fitted to: whole ones, as their samples are alike."""
 
+    def is_known(series: Dataset) -> bool:
+        return any(seen_share(model, series) > SAME_SHARE for model in models)
 
-def _knows(models: Sequence[RobotEstimator], series: Dataset) -> bool:
-    return any(seen_share(model, series) > SAME_SHARE for model in models)
+    return data.take([i for i in range(len(data.conditions)) if not is_known(data.take([i]))])
 
 
 BLOCK_S = 5.0
-"""Of time that counts as one observation; friction and load keep errors alike for about as long."""
+"""Duration that counts as one observation: errors stay alike for about as long [s]."""
+
+FEWEST_BLOCKS = 4
 
 
 def compare(
@@ -330,7 +330,7 @@ def compare(
     parts: Sequence[Dataset],
     sources: tuple[str, ...] = (),
 ) -> Comparison:
-    """The same on datasets; that nothing of them was learned is the caller's affair.
+    """Compare two models on datasets; the caller has made sure that neither was fitted to them.
 
     Raises:
         DataError: They are not of the models' robot.
@@ -349,6 +349,7 @@ def compare(
     both = np.concatenate([np.stack(pair, axis=1) for pair in errors])
     old, new = np.sqrt(np.nanmean(both, axis=0))
     shares = (means[:, 1] - means[:, 0]) / np.maximum(old, np.finfo(float).tiny) ** 2
+    # One-sided per joint and shared among the joints (Bonferroni), hence 2 and the division.
     each, margin = _interval(shares, 1.0 - 2.0 * (1.0 - SURE) / shares.shape[1])
     centre, half = (float(one[0]) for one in _interval(shares.mean(axis=1, keepdims=True), SURE))
     data = parts[0]
@@ -372,7 +373,7 @@ def _require_alike(champion: RobotEstimator, challenger: RobotEstimator) -> None
 def _squared(
     champion: RobotEstimator, challenger: RobotEstimator, data: Dataset
 ) -> tuple[FloatArray, FloatArray]:
-    """(N, n) squared errors of both, NaN where one of them says nothing."""
+    """Return the squared errors of both, (N, n) each; NaN where one of them predicts nothing."""
     measured = filtered_effort(data)
     predictions = [model.predict(data) for model in (champion, challenger)]
     known = predictions[0].valid & predictions[1].valid & np.isfinite(measured)
@@ -381,7 +382,7 @@ def _squared(
 
 
 def _interval(shares: FloatArray, sure: float) -> tuple[FloatArray, FloatArray]:
-    """Mean of the blocks (B, m), and half the width of its interval: (m,) each."""
+    """Return the mean of blocks (B, m), and half the width of its interval: (m,) each."""
     count = len(shares)
     half = student.ppf(0.5 + sure / 2, count - 1) * np.std(shares, axis=0, ddof=1) / np.sqrt(count)
     return np.mean(shares, axis=0), np.asarray(half)
@@ -390,9 +391,9 @@ def _interval(shares: FloatArray, sure: float) -> tuple[FloatArray, FloatArray]:
 def blocks(
     data: Dataset, pair: tuple[FloatArray, FloatArray]
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Where, (n,) mean positions, and (2, n) mean squared errors of both models, block by block.
+    """Yield the (n,) mean position and the (2, n) mean squared errors of both models per block.
 
-    Series are never joined.
+    No block reaches over the end of a series.
     """
     for _, rows in data.slices():
         if rows.stop <= rows.start:
@@ -400,23 +401,23 @@ def blocks(
         t = data["t"][rows]
         count = max(1, round(float(t[-1] - t[0]) / BLOCK_S))
         for piece in np.array_split(np.arange(rows.start, rows.stop), count):
-            found = np.stack([one[piece] for one in pair])
-            if np.all(np.any(np.isfinite(found), axis=1)):
-                yield np.mean(data["q"][piece], axis=0), np.nanmean(found, axis=1)
+            errors = np.stack([one[piece] for one in pair])
+            if np.all(np.any(np.isfinite(errors), axis=1)):
+                yield np.mean(data["q"][piece], axis=0), np.nanmean(errors, axis=1)
 
 
-def by_place(found: Sequence[tuple[FloatArray, FloatArray]]) -> FloatArray:
-    """(B, 2, n) means of the blocks at each place."""
-    where: list[FloatArray] = []
-    there: list[list[FloatArray]] = []
-    for place, errors in found:
-        near = [k for k, q in enumerate(where) if np.max(np.abs(q - place)) < SAME_PLACE_RAD]
+def by_place(blocks: Sequence[tuple[FloatArray, FloatArray]]) -> FloatArray:
+    """Return the (B, 2, n) means of the blocks at each place, given position and errors of each."""
+    places: list[FloatArray] = []
+    errors_at: list[list[FloatArray]] = []
+    for place, errors in blocks:
+        near = [k for k, q in enumerate(places) if np.max(np.abs(q - place)) < SAME_PLACE_RAD]
         if near:
-            there[near[0]].append(errors)
+            errors_at[near[0]].append(errors)
         else:
-            where.append(place)
-            there.append([errors])
-    return np.array([np.mean(errors, axis=0) for errors in there])
+            places.append(place)
+            errors_at.append([errors])
+    return np.array([np.mean(errors, axis=0) for errors in errors_at])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -424,9 +425,9 @@ class Days:
     """Two models on the same days.
 
     Attributes:
-        differences: (D,) of the squared error, per day, as a share of the champion's; negative
-            where the challenger errs less.
-        interval: Of their mean, with 95 %.
+        differences: (D,) difference of the squared error per day, as a share of the champion's;
+            negative where the challenger errs less.
+        interval: 95 % interval of their mean.
     """
 
     differences: FloatArray
@@ -434,18 +435,18 @@ class Days:
 
     @property
     def less(self) -> bool:
-        """The challenger errs less, and that is more than the choice of days."""
+        """Whether the challenger errs less, by more than the choice of days explains."""
         return self.interval[1] < 0.0
 
     @property
     def words(self) -> str:
-        """One sentence."""
+        """The result in a few words."""
         low, high = (100.0 * bound for bound in self.interval)
         spread = f"{100.0 * np.mean(self.differences):+.1f} % ({low:+.1f} … {high:+.1f})"
         return f"over {len(self.differences)} days {spread}"
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON form; a part of the evidence of a promotion."""
+        """Return the JSON form; part of the evidence of a promotion."""
         return {
             "differences": self.differences.tolist(),
             "interval_95": list(self.interval),
@@ -459,25 +460,23 @@ def over_days(
     """Compare two models day by day.
 
     Args:
-        champion: In use.
-        challenger: Of the same joints and unit.
-        days: Two at least; of each the recordings, which neither was fitted to.
+        champion: The model in use.
+        challenger: A model of the same joints and unit.
+        days: Two at least; the recordings of each day, which neither was fitted to.
 
     Raises:
         DataError: A source cannot be read, or one of them was fitted to it.
         FitError: It holds nothing they work on.
     """
-    found = np.array([_difference(champion, challenger, sources) for sources in days])
-    count = len(found)
-    half = student.ppf(0.5 + SURE / 2, count - 1) * np.std(found, ddof=1) / np.sqrt(count)
-    centre = float(np.mean(found))
-    return Days(found, (centre - float(half), centre + float(half)))
+    differences = np.array([_difference(champion, challenger, sources) for sources in days])
+    centre, half = (float(one[0]) for one in _interval(differences[:, None], SURE))
+    return Days(differences, (centre - half, centre + half))
 
 
 def _difference(
     champion: RobotEstimator, challenger: RobotEstimator, sources: Sequence[Path]
 ) -> float:
-    """Mean over joints and sources."""
+    """Return the difference of the squared error, the mean over joints and sources."""
     shares = []
     for part in unseen_parts((champion, challenger), sources):
         old, new = (evaluate(one, part).total.rmse_filtered for one in (champion, challenger))

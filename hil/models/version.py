@@ -1,4 +1,8 @@
-"""A version of a model: its files as they were, and what is known of where they came from."""
+"""A version of a model: the folder `NAME/v0001/`, with the model's files and `version.json`.
+
+The folder appears whole, by one rename, and its files are never written again; `version.json` has
+the digest of each, so that a changed file is found (`verify`).
+"""
 
 from __future__ import annotations
 
@@ -12,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hil.core import RegistryError, card, fsync_directory, json_document
+from hil.core import RegistryError, card, fsync_directory, json_document, write_whole
 
 VERSION_FILE = "version.json"
 FORMAT = 1
@@ -25,12 +29,12 @@ class ModelVersion:
     """One version.
 
     Attributes:
-        name: Of the models it is one of.
+        name: Name of the models it is one of.
         number: From 1.
         folder: A model folder, as `load_model_file` takes it.
         digest: SHA-256 over the model's files: equal models have equal digests.
-        registered: UTC, ISO 8601.
-        by: Who registered it.
+        registered: When it was, UTC, ISO 8601.
+        by: User who registered it.
         facts: Estimator, robot, serial number, training sources with their digests, run,
             evaluation and provenance, as far as known.
         files: Name → SHA-256 of every file of it but `version.json`.
@@ -47,14 +51,14 @@ class ModelVersion:
 
     @property
     def label(self) -> str:
-        """Such as `v3`."""
+        """The number as people write it, such as `v3`."""
         return f"v{self.number}"
 
     def __repr__(self) -> str:
         return f"<ModelVersion {self.name} {self.label}: {self.facts.get('estimator', '')}>"
 
     def _repr_html_(self) -> str:
-        """Itself in a notebook."""
+        """Return the card for a notebook."""
         facts = {
             "estimator": self.facts.get("estimator"),
             "robot": self.facts.get("robot"),
@@ -66,7 +70,7 @@ class ModelVersion:
         return card("Model", f"{self.name} {self.label}", facts)
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON form: what `version.json` holds, and where it is."""
+        """Return the JSON form: what `version.json` holds, and where it is."""
         return _document(self) | {"folder": str(self.folder)}
 
     def verify(self) -> None:
@@ -77,10 +81,10 @@ class ModelVersion:
         """
         for name, digest in self.files.items():
             try:
-                found = hashlib.sha256((self.folder / name).read_bytes()).hexdigest()
+                now = hashlib.sha256((self.folder / name).read_bytes()).hexdigest()
             except OSError as error:
                 raise self._damaged(f"{name} cannot be read: {error.strerror}") from error
-            if found != digest:
+            if now != digest:
                 raise self._damaged(f"{name} is not the file that was registered")
 
     def _damaged(self, what: str) -> RegistryError:
@@ -91,38 +95,41 @@ class ModelVersion:
 
 
 def folder_of(home: Path, number: int) -> Path:
-    """Where a version is."""
+    """Return the folder of a version."""
     return home / f"v{number:04d}"
 
 
 def numbers_in(home: Path) -> list[int]:
-    """Versions that are there, in order; what a crash has left unfinished is not among them."""
+    """Return the numbers of the versions that are there, in order.
+
+    A folder that a crash has left unfinished has another name.
+    """
     if not home.is_dir():
         return []
-    found = (_FOLDER.match(path.name) for path in home.iterdir())
-    return sorted(int(match[1]) for match in found if match)
+    matches = (_FOLDER.match(path.name) for path in home.iterdir())
+    return sorted(int(match[1]) for match in matches if match)
 
 
 def read_version(home: Path, number: int) -> ModelVersion:
-    """A version from its files.
+    """Return a version.
 
     Raises:
         RegistryError: It is not there, or damaged.
     """
     path = folder_of(home, number) / VERSION_FILE
     try:
-        told = json.loads(path.read_bytes())
-        if told["hil_version"] != FORMAT:
-            raise ValueError(f"format {told['hil_version']!r}")
+        document = json.loads(path.read_bytes())
+        if document["hil_version"] != FORMAT:
+            raise ValueError(f"format {document['hil_version']!r}")
         return ModelVersion(
-            name=str(told["name"]),
-            number=int(told["number"]),
+            name=str(document["name"]),
+            number=int(document["number"]),
             folder=path.parent,
-            digest=str(told["digest"]),
-            registered=str(told["registered"]),
-            by=str(told["by"]),
-            facts=dict(told["facts"]),
-            files={str(name): str(digest) for name, digest in told["files"].items()},
+            digest=str(document["digest"]),
+            registered=str(document["registered"]),
+            by=str(document["by"]),
+            facts=dict(document["facts"]),
+            files={str(name): str(digest) for name, digest in document["files"].items()},
         )
     except FileNotFoundError as error:
         raise RegistryError(
@@ -145,7 +152,9 @@ def write_version(home: Path, version: ModelVersion, files: Mapping[str, bytes])
         shutil.rmtree(draft, ignore_errors=True)
         draft.mkdir(parents=True)
         for name, content in {**files, VERSION_FILE: json_document(_document(version))}.items():
-            _write(draft / name, content)
+            path = draft / name
+            write_whole(path, content)
+            path.chmod(0o444)
         fsync_directory(draft)
         draft.rename(version.folder)
         fsync_directory(home)
@@ -159,7 +168,7 @@ def write_version(home: Path, version: ModelVersion, files: Mapping[str, bytes])
 
 
 def digest_of(files: Mapping[str, bytes]) -> str:
-    """SHA-256 over names and contents, in the order of the names."""
+    """Return the SHA-256 over names and contents, in the order of the names."""
     whole = hashlib.sha256()
     for name in sorted(files):
         whole.update(f"{name} {hashlib.sha256(files[name]).hexdigest()}\n".encode())
@@ -177,11 +186,3 @@ def _document(version: ModelVersion) -> dict[str, Any]:
         "facts": dict(version.facts),
         "files": dict(version.files),
     }
-
-
-def _write(path: Path, content: bytes) -> None:
-    with path.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    path.chmod(0o444)
