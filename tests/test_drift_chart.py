@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hil.core.errors import DataError
-from hil.models.drift import REFERENCE, causes, charted, told
+from hil.models.drift import REFERENCE, causes, causes_text, chart_of
 from hil.models.drift_features import Features, feature_names
 
 JOINTS = tuple(f"j{k + 1}" for k in range(6))
@@ -53,7 +53,7 @@ def test_a_robot_that_does_not_change_is_called_so_as_rarely_as_stated(swing: fl
         probe = robot(dice)
         probes = [probe(25.0 + swing * dice.uniform(-1, 1)) for _ in range(20)]
         for k in range(1, len(probes) + 1):
-            alarms += bool(charted(probes[:k], SIGMA, 0.05).alarm.any())
+            alarms += bool(chart_of(probes[:k], SIGMA, 0.05).alarm.any())
             count += 1
     assert count == 1200
     assert alarms >= 6  # charts that call nothing are no charts
@@ -68,7 +68,7 @@ def test_more_friction_is_found_by_the_first_probe_and_named(swing: float) -> No
         probe = robot(dice)
         probes = [probe(25.0 + swing * dice.uniform(-1, 1)) for _ in range(REFERENCE + 1)]
         worn = changed(probe(25.0 + 0.5 * swing), "j2 friction", 0.15)
-        chart = charted([*probes, worn], SIGMA)
+        chart = chart_of([*probes, worn], SIGMA)
         named = causes(worn, chart, 0.01, "A")
         found += bool(named) and named[0].name == "j2 friction"
         assert not named or abs(named[0].change - 0.15) < 5 * named[0].std
@@ -84,7 +84,7 @@ def test_what_creeps_is_found_by_the_weighted_mean() -> None:
         probes = [probe(25.0) for _ in range(REFERENCE)]
         for _ in range(12):
             probes.append(changed(probe(25.0), "j3 friction", 0.03))
-        chart = charted(probes, SIGMA)
+        chart = chart_of(probes, SIGMA)
         k = NAMES.index("j3 friction")
         single += bool(np.abs(chart.deviation[k]) > chart.limit[k])
         crept += bool(chart.alarm[k])
@@ -94,10 +94,10 @@ def test_what_creeps_is_found_by_the_weighted_mean() -> None:
 
 def test_before_anything_is_known_nothing_is_a_change() -> None:
     probe = robot(np.random.default_rng(0))
-    chart = charted([probe(40.0)], SIGMA)
+    chart = chart_of([probe(40.0)], SIGMA)
     assert not chart.alarm.any()
     assert chart.reference == 0
-    assert told(causes(probe(40.0), chart, 0.01, "A")) == "nothing has changed"
+    assert causes_text(causes(probe(40.0), chart, 0.01, "A")) == "nothing has changed"
 
 
 def test_one_cause_that_moves_others_is_named_alone() -> None:
@@ -111,7 +111,7 @@ def test_one_cause_that_moves_others_is_named_alone() -> None:
     probes = [probe(25.0) for _ in range(REFERENCE)]
     loaded = replace(probe(25.0), response=response)
     loaded = replace(loaded, values=loaded.values + response[:, mass] * 0.4)
-    chart = charted([*probes, loaded], SIGMA)
+    chart = chart_of([*probes, loaded], SIGMA)
     assert chart.alarm.sum() >= 3
     (cause,) = causes(loaded, chart, 0.01, "A")
     assert cause.name == "load"
@@ -125,7 +125,7 @@ def test_what_is_called_changed_always_has_a_cause() -> None:
     probes = [probe(25.0) for _ in range(REFERENCE)]
     moved = changed(probe(25.0), "j5 offset", 0.06)
     moved = replace(moved, std=100.0 * moved.std)
-    chart = charted([*probes, moved], SIGMA)
+    chart = chart_of([*probes, moved], SIGMA)
     assert chart.alarm.any()
     assert causes(moved, chart, 0.01, "A")
 
@@ -134,10 +134,10 @@ def test_what_repeats_along_the_motion_is_no_noise() -> None:
     """Within each probe the model errs by six times the noise, in the same places every time."""
     probe = robot(np.random.default_rng(2))
     probes = [probe(25.0) for _ in range(REFERENCE + 1)]
-    chart = charted(probes, SIGMA)
+    chart = chart_of(probes, SIGMA)
     within = np.median([one.std for one in probes], axis=0)
     assert np.median(chart.std / within) < 0.6
-    alone = charted(probes[:2], SIGMA)
+    alone = chart_of(probes[:2], SIGMA)
     assert np.median(alone.std / within) > 0.9
 
 
@@ -157,7 +157,7 @@ def test_probes_of_different_robots_are_not_charted_together() -> None:
     probe = robot(np.random.default_rng(1))(20.0)
     other = replace(probe, names=("x friction", *NAMES[1:]))
     with pytest.raises(DataError, match="different robots"):
-        charted([probe, other], SIGMA)
+        chart_of([probe, other], SIGMA)
 
 
 def test_copies_of_a_probe_are_one_probe() -> None:
@@ -165,9 +165,9 @@ def test_copies_of_a_probe_are_one_probe() -> None:
     dice = np.random.default_rng(6)
     probe = robot(dice)
     one = probe(25.0)
-    assert charted([one] * 6, SIGMA).reference == 0
+    assert chart_of([one] * 6, SIGMA).reference == 0
     others = [probe(25.0) for _ in range(REFERENCE)]
-    with_copies = charted([one, one, *others, others[-1], probe(25.0)], SIGMA)
+    with_copies = chart_of([one, one, *others, others[-1], probe(25.0)], SIGMA)
     assert with_copies.reference == REFERENCE
     assert not with_copies.alarm.any()
 
@@ -178,4 +178,4 @@ def test_probes_without_any_noise_can_be_charted() -> None:
         replace(probe, values=probe.values * k, std=0 * probe.std, blocks=0 * probe.blocks)
         for k in (1.0, 1.0 + 1e-12, 1.0 + 2e-12)
     ]
-    assert np.all(np.isfinite(charted(silent, SIGMA).p))
+    assert np.all(np.isfinite(chart_of(silent, SIGMA).p))

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 import hil
 from hil.cli.app import app
 from hil.core.errors import DataError
-from hil.models.drift import Banded, assess, banded
+from hil.models.drift import ChartedProbe, assess, charted_probes
 from hil.models.model_registry import Registry
 from hil.report import drift_page as figures
 from hil.report.drift_page import drift_page, in_time
@@ -39,8 +39,8 @@ def registry(tmp_path_factory: pytest.TempPathFactory) -> Registry:
 
 
 @pytest.fixture(scope="module")
-def told(registry: Registry) -> list[Banded]:
-    return banded(registry, "ur5")
+def told(registry: Registry) -> list[ChartedProbe]:
+    return charted_probes(registry, "ur5")
 
 
 def test_bands_are_those_the_probes_were_judged_by(told) -> None:
@@ -56,7 +56,7 @@ def test_a_probe_is_called_changed_where_its_chance_falls_below_the_rate(
 ) -> None:
     # Half the rate, shared by all features: what either chart may use up.
     p = times * 0.01 / 2 / len(told[0].probe.features.names)
-    one = Banded(replace(told[0].probe, p=p, false_alarm=0.01), told[0].chart)
+    one = ChartedProbe(replace(told[0].probe, p=p, false_alarm=0.01), told[0].chart)
     assert (one.chance < 0.01) == changed
 
 

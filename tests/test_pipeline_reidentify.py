@@ -20,7 +20,7 @@ from hil.maintenance.ledger import Job
 from hil.maintenance.reidentifying import Measuring, Reidentification, as_it_is, reidentification
 from hil.maintenance.simulation import with_options
 from hil.maintenance.stages import FOLDER
-from hil.models.drift import banded
+from hil.models.drift import charted_probes
 from hil.models.model_registry import Registry
 from hil.planning.experiment import Experiment
 from hil.spec.schedule import ScheduleSpec, load_schedule_spec
@@ -160,7 +160,7 @@ def test_a_probe_is_compared_with_those_of_its_own_program(robot: Robot) -> None
     assert edited["text"].startswith("probe 1 of this program under this champion: nothing")
     worn = robot.due(3, probe="worn probe")
     assert worn["drift"]["reference"] == 1
-    bands = banded(robot.registry, "ur5")
+    bands = charted_probes(robot.registry, "ur5")
     assert [one.chart.reference for one in bands] == [0, 0, 1]
 
 

@@ -14,7 +14,7 @@ import pytest
 from null_probes import FIRST_SEED, probes
 
 from hil.core.parallel import processes
-from hil.models.drift import FALSE_ALARM, causes, charted
+from hil.models.drift import FALSE_ALARM, causes, chart_of
 from hil.models.drift_features import Features
 
 ROBOTS, PROBES, WORN = 20, 50, 3
@@ -28,7 +28,7 @@ def called_changed(found: list[Features], sigma: list[float], rate: float) -> li
     quiet: list[Features] = []
     told = []
     for probe in found:
-        chart = charted([*quiet, probe], np.array(sigma), rate)
+        chart = chart_of([*quiet, probe], np.array(sigma), rate)
         told.append(bool(chart.alarm.any()))
         quiet = quiet if told[-1] else [*quiet, probe]
     return told
@@ -36,7 +36,7 @@ def called_changed(found: list[Features], sigma: list[float], rate: float) -> li
 
 def named_first(found: list[Features], sigma: list[float], worn: Features) -> str:
     """The cause named first when a worn robot's probe follows those of before; empty if none."""
-    chart = charted([*found, worn], np.array(sigma))
+    chart = chart_of([*found, worn], np.array(sigma))
     named = causes(worn, chart, FALSE_ALARM, "A")
     return named[0].name if named else ""
 

@@ -36,12 +36,12 @@ from hil.models import (
     PROBES_FILE,
     UNITS,
     Aliases,
-    Banded,
+    ChartedProbe,
     Entry,
     ModelVersion,
     Probe,
     Registry,
-    banded,
+    charted_probes,
     numbers_in,
     probes_of,
     read_log,
@@ -371,12 +371,14 @@ def _drift_of(name: str, feature: str, unit: str, settings: Settings) -> dict[st
         settings: What is served.
     """
     registry, problem = Registry(settings.registry), ""
-    judged: Sequence[Banded] = ()
+    judged: Sequence[ChartedProbe] = ()
     probes: Sequence[Probe] = ()
     try:
         probes = probes_of(registry, name)
         judged = (
-            _banded(settings.registry, name, _stamp(settings.registry / name)) if probes else ()
+            _charted_probes(settings.registry, name, _stamp(settings.registry / name))
+            if probes
+            else ()
         )
     except HilError as error:
         problem = error.message
@@ -396,9 +398,9 @@ def _drift_of(name: str, feature: str, unit: str, settings: Settings) -> dict[st
 
 
 @lru_cache(maxsize=32)
-def _banded(registry: Path, name: str, stamp: str) -> tuple[Banded, ...]:
+def _charted_probes(registry: Path, name: str, stamp: str) -> tuple[ChartedProbe, ...]:
     """Return the probes with their limits. Models are loaded for that: once per `stamp`."""
-    return tuple(banded(Registry(registry), name))
+    return tuple(charted_probes(Registry(registry), name))
 
 
 def _stamp(home: Path) -> str:
@@ -417,7 +419,7 @@ def _most_telling(probes: Sequence[Probe]) -> str:
     return probes[-1].features.names[0] if probes else ""
 
 
-def _drift_chart(judged: Sequence[Banded], feature: str) -> dict[str, Any]:
+def _drift_chart(judged: Sequence[ChartedProbe], feature: str) -> dict[str, Any]:
     # Probes without a time stand at their numbers, in the order in which they were taken.
     timed = all(np.isfinite(_seconds(one.probe.at)) for one in judged)
     if timed:

@@ -1,9 +1,9 @@
 from .drift import PROBES_FILE as PROBES_FILE
 from .drift import REFERENCE as REFERENCE
-from .drift import Banded as Banded
+from .drift import ChartedProbe as ChartedProbe
 from .drift import Probe as Probe
 from .drift import assess as assess
-from .drift import banded as banded
+from .drift import charted_probes as charted_probes
 from .drift import friction_change as friction_change
 from .drift import probes_of as probes_of
 from .drift_features import DRIFT_BLOCK_S as DRIFT_BLOCK_S

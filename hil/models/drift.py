@@ -1,21 +1,20 @@
-"""Is a robot still the one its model was fitted to? Short probes, what changed, and how sure.
+"""Drift: whether a robot is still the one its model was fitted to, judged by short probes.
 
-    REGISTRY/NAME/probes.jsonl
+`REGISTRY/NAME/probes.jsonl` has a line per probe and champion: the features of the probe
+(`hil.models.drift_features`), and what the charts called changed. A line counts from its line break
+on. A probe is judged against those of the same program under the same champion: along another
+motion a model has other errors.
 
-A line per probe and champion: what it says (`hil.models.drift_features`), what the charts said of
-it, and what was called changed. A line counts from its line break on. Probes are judged against
-those of the same program under the same champion: along another motion a model errs otherwise.
-
-**The chart**, one per feature, has the joint's temperature as a covariate. Of a robot that does not
-change, a feature is a + b·(T − T̄) + noise: a model is never quite right, and friction is another at
-another temperature than the model believes. The probes taken after a model became champion tell a,
-b and the noise, by Bayesian regression with priors that know how large these can be; before they
-have told, limits are wide, and nothing is called a change. A new probe is compared with what they
-predict for its temperature: by itself, and in an exponentially weighted mean with the probes before
-it, for what creeps. Predictions are Student-t, the noise being estimated too, and errors that all
-probes share count as such. A robot that does not change is called changed with a probability of
-`false_alarm` at most, all features together: each gets its share of it, half of that for either
-chart (Bonferroni).
+**The chart**, one per feature, has the joint's temperature as a covariate. A feature of an
+unchanged robot is a + b·(T − T̄) + noise: a is not zero since no model is exact, b since the model's
+friction does not follow the temperature exactly. Bayesian regression estimates a, b and the noise
+from the first probes after a model became champion (the reference), with priors of what is usual;
+without a reference the limits are wide, and nothing is called a change. A new probe is compared
+with the prediction for its temperature: by itself, and in an exponentially weighted mean with the
+probes before it, to find slow changes. Predictions are Student-t, as the noise is estimated too,
+and the error of the reference, which all probes share, is counted once. An unchanged robot is
+called changed with a probability of `false_alarm` at most, all features together: each feature gets
+its share of it, half of that for either chart (Bonferroni).
 
 **The cause.** One cause moves the estimates of others too, so the one that explains most is named
 first, then what is left without it (`causes`).
@@ -60,15 +59,15 @@ class Probe:
     Attributes:
         uid: Identity of its run or recording.
         at: When it was taken, ISO 8601.
-        source: Where it was then.
+        source: Where its run or recording was then.
         program: Hash of its spec (a plan depends on where the arm stood); empty for a recording.
         champion: Version it was compared with.
-        false_alarm: Probability, at most, with which a robot that has not changed is called so.
-        features: What it says.
-        changed: Whether the charts call it changed.
+        false_alarm: Probability, at most, with which an unchanged robot is called changed.
+        features: What it measured.
+        changed: Whether the charts call the robot changed.
         causes: What has changed.
         p: Smallest probability of a feature's deviation, of both charts.
-        reference: Probes it was compared with.
+        reference: Number of probes it was compared with.
     """
 
     uid: str
@@ -85,16 +84,16 @@ class Probe:
 
     @property
     def text(self) -> str:
-        """One line for people."""
+        """The result in one line."""
         if self.changed:
-            return told(self.causes)
+            return causes_text(self.causes)
         if self.reference < 2:
             probe = f"probe {self.reference + 1} of this program under this champion"
             return f"{probe}: nothing to compare with yet"
         return f"nothing has changed (smallest p {self.p:.2g}, {self.reference} probes to compare)"
 
     def to_dict(self) -> dict[str, Any]:
-        """The contract of `hil drift --json`, and a line of the file."""
+        """Return the contract of `hil drift --json`, which is a line of the file."""
         return {
             "uid": self.uid, "at": self.at, "source": self.source,
             "program": self.program, "champion": self.champion, "false_alarm": self.false_alarm,
@@ -105,7 +104,7 @@ class Probe:
 
 
 def probes_of(registry: Registry, name: str) -> list[Probe]:
-    """All probes of a name, in the order in which they were judged.
+    """Return all probes of a name, in the order in which they were judged.
 
     Raises:
         RegistryError: A line is damaged.
@@ -116,14 +115,14 @@ def probes_of(registry: Registry, name: str) -> list[Probe]:
 
 def _probe(path: Path, number: int, line: bytes) -> Probe:
     try:
-        told_then = json.loads(line)
-        listed: Sequence[dict[str, Any]] = told_then["causes"]
+        document = json.loads(line)
+        listed: Sequence[dict[str, Any]] = document["causes"]
         return Probe(
-            str(told_then["uid"]), str(told_then["at"]), str(told_then["source"]),
-            str(told_then["program"]), int(told_then["champion"]), float(told_then["false_alarm"]),
-            Features.from_dict(told_then["features"]), bool(told_then["changed"]),
-            tuple(Cause(**one) for one in listed), float(told_then["p"]),
-            int(told_then["reference"]),
+            str(document["uid"]), str(document["at"]), str(document["source"]),
+            str(document["program"]), int(document["champion"]), float(document["false_alarm"]),
+            Features.from_dict(document["features"]), bool(document["changed"]),
+            tuple(Cause(**one) for one in listed), float(document["p"]),
+            int(document["reference"]),
         )  # fmt: skip
     except (ValueError, TypeError, KeyError, RecursionError) as error:
         raise RegistryError(
@@ -133,7 +132,7 @@ def _probe(path: Path, number: int, line: bytes) -> Probe:
 
 
 FALSE_ALARM = 0.01
-"""Of one probe, all features together."""
+"""Default rate of false alarms of one probe, all features together."""
 
 
 def assess(
@@ -144,16 +143,16 @@ def assess(
     false_alarm: float = FALSE_ALARM,
     champion: str = "champion",
 ) -> Probe:
-    """Judge a probe against the champion and the probes before it, and keep it.
+    """Judge a probe against the champion and the probes before it, and add it to the history.
 
-    The same probe under the same champion is judged once: what was said then is said again.
+    The same probe under the same champion is judged once: the first result is returned again.
 
     Args:
         registry: With a champion of that name.
-        name: The robot's.
+        name: Name of the robot's models.
         source: Run directory or recording of the probe.
-        false_alarm: Of one probe, all features together, at most.
-        champion: The version, such as `v3`, where another may have become champion meanwhile.
+        false_alarm: Rate of false alarms of one probe, all features together, at most.
+        champion: The version, such as `v3`, if another may have become champion meanwhile.
 
     Raises:
         DataError: The source cannot be read, or the champion was fitted to it.
@@ -162,43 +161,35 @@ def assess(
     version = registry.version(name, champion)
     model = registry.load(name, version.label)
     uid, at, program = identity(source)
-    features = _features(model, source)
+    data = usable_part(load_source(source), model)
+    require_unseen(model, source, data)
+    features = features_of(model, data)
     with writing(registry.root / name):
         before = [one for one in probes_of(registry, name) if one.champion == version.number]
         known = next((one for one in before if one.uid == uid), None)
         if known is not None:
             return known
         quiet = quiet_like(before, version.number, program)
-        chart = charted([*(one.features for one in quiet), features], model.sigma_, false_alarm)
+        chart = chart_of([*(one.features for one in quiet), features], model.sigma_, false_alarm)
         unit = "A" if model.effort_kind_ == "current" else "N·m"
-        found = tuple(causes(features, chart, false_alarm, unit))
         probe = Probe(
             uid, at, str(source), program, version.number, false_alarm, features,
-            bool(chart.alarm.any()), found, _least(chart), chart.reference,
+            bool(chart.alarm.any()), tuple(causes(features, chart, false_alarm, unit)),
+            float(np.min(np.minimum(chart.p, chart.p_mean))), chart.reference,
         )  # fmt: skip
         note_registry(registry.root, [source])
         append_line(registry.root / name / PROBES_FILE, probe.to_dict())
     return probe
 
 
-def _features(model: RobotEstimator, source: Path) -> Features:
-    data = usable_part(load_source(source), model)
-    require_unseen(model, source, data)
-    return features_of(model, data)
-
-
-def _least(chart: Charted) -> float:
-    return float(np.min(np.minimum(chart.p, chart.p_mean)))
-
-
 def quiet_like(probes: Iterable[Probe], champion: int, program: str) -> list[Probe]:
-    """Those that a probe of this program is compared with under this champion."""
+    """Return the unchanged probes of a program under a champion, which judge further ones."""
     like = (champion, program)
     return [one for one in probes if (one.champion, one.program) == like and not one.changed]
 
 
 def identity(source: Path) -> tuple[str, str, str]:
-    """Identity, time and program of a source: a run's own, or a recording's digest and nothing.
+    """Return identity, time and program of a run; of a recording its digest and two empty texts.
 
     Raises:
         DataError: There is no such source.
@@ -213,7 +204,7 @@ def identity(source: Path) -> tuple[str, str, str]:
 
 
 REFERENCE = 5
-"""Probes after a promotion that tell what the robot is like; they are judged too."""
+"""Number of probes after a promotion that later ones are compared with; they are judged too."""
 
 FORGET = 0.3
 """Weight of the newest probe in the weighted mean."""
@@ -224,29 +215,28 @@ deviations of the champion's residual; a load in kg, and in kg·m a tenth of tha
 changes by 0.2 to 1 % per kelvin, and models follow most of it."""
 
 NOISE_DOF = 4.0
-"""Probes that the prior of the noise is worth, which is what blocks of the probes say of it."""
+"""Degrees of freedom of the noise's prior, which comes from the blocks of the probes."""
 
 LEAST_NOISE = 1e-6
-"""Share of the priors below which nothing is told apart."""
+"""Smallest noise, as a share of the prior of a: a simulation without noise has none."""
 
 LEVER_M = 0.1
-
-_ARRAYS = ("values", "temperature")
+"""Prior of a load's first moment per mass [m]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Charted:
-    """What the charts say of the newest probe.
+class Chart:
+    """The charts of all K features, at the newest probe.
 
     Attributes:
-        deviation: (K,) of the newest probe from what the reference says at its temperature.
-        std: (K,) that such a deviation may have.
-        p: (K,) how probable one as large is, without a change.
-        p_mean: (K,) the same of the weighted mean; `p` while no other is in it.
+        deviation: (K,) difference of the newest probe from the prediction at its temperature.
+        std: (K,) standard deviation of `deviation` without a change.
+        p: (K,) probability of a deviation as large, without a change.
+        p_mean: (K,) the same of `mean`; equal to `p` while no other probe is in it.
         mean: (K,) weighted mean of the deviations since the reference.
         limit: (K,) deviation above which a single probe is called changed.
-        alarm: (K,) whether it is called so.
-        reference: How many probes told.
+        alarm: (K,) whether the feature is called changed.
+        reference: Number of probes in the reference.
     """
 
     deviation: FloatArray
@@ -259,15 +249,15 @@ class Charted:
     reference: int
 
 
-def charted(
+def chart_of(
     probes: Sequence[Features], sigma: FloatArray, false_alarm: float = FALSE_ALARM
-) -> Charted:
-    """Judge the last of some probes, taken one after the other under one champion.
+) -> Chart:
+    """Return the charts of probes that were taken one after the other under one champion.
 
     Args:
-        probes: Oldest first; those that were called changed left out, but for the last.
+        probes: Oldest first; only the last may have been called changed.
         sigma: (n,) standard deviation of the champion's residual, in effort units.
-        false_alarm: Of one probe, all features together, at most.
+        false_alarm: Rate of false alarms of one probe, all features together, at most.
 
     Raises:
         DataError: They are of different robots, or there is none.
@@ -279,37 +269,38 @@ def charted(
         )
     probes = _distinct(probes)
     count = min(REFERENCE, len(probes) - 1)
-    values, celsius = (np.array([getattr(one, name) for one in probes]) for name in _ARRAYS)
+    values = np.array([one.values for one in probes])
+    celsius = np.array([one.temperature for one in probes])
     centre = np.nan_to_num(np.nanmean(celsius, axis=0)) if np.isfinite(celsius).any() else 0.0
     warm = np.nan_to_num(celsius - centre)
     noise = _noise(probes[: max(count, 1)]) + np.finfo(np.float64).tiny
-    told = [
+    rows = [
         _feature(values[:, k], warm[:, k], _prior(name, sigma), float(noise[k]), count)
         for k, name in enumerate(probes[0].names)
     ]
-    share = false_alarm / len(told) / 2
-    deviation, std, dof, mean, mean_std = np.array(told).T
+    share = false_alarm / len(rows) / 2
+    deviation, std, dof, mean, mean_std = np.array(rows).T
     p, p_mean = _p(deviation, std, dof), _p(mean, mean_std, dof)
     limit = std * student.isf(share / 2, dof)
     alarm = (p < share) | (p_mean < share)
-    return Charted(deviation, std, p, p_mean, mean, limit, alarm, count)
+    return Chart(deviation, std, p, p_mean, mean, limit, alarm, count)
 
 
 def _distinct(probes: Sequence[Features]) -> Sequence[Features]:
-    """Without those that say what another says to the last bit: copies, or a mock's same day."""
+    """Return the probes without copies of a measurement, which are equal to the last bit."""
     *before, newest = probes
-    found: dict[bytes, Features] = {}
+    distinct: dict[bytes, Features] = {}
     for probe in before:
-        found.setdefault(probe.values.tobytes(), probe)
-    found.pop(newest.values.tobytes(), None)
-    return [*found.values(), newest]
+        distinct.setdefault(probe.values.tobytes(), probe)
+    distinct.pop(newest.values.tobytes(), None)
+    return [*distinct.values(), newest]
 
 
 def _noise(probes: Sequence[Features]) -> FloatArray:
-    """(K,) standard deviation of one probe, by what its blocks say.
+    """Return the (K,) standard deviation of one probe, from the scatter of its blocks.
 
-    A model's error along a motion is the same in every probe that drives it. What is common to the
-    blocks of the same place is therefore no noise, nor is what is common to the blocks of a probe.
+    A model's error along a motion is the same in every probe that drives it. What the blocks at the
+    same place have in common is therefore no noise, nor is what the blocks of a probe have.
     """
     shapes = {one.blocks.shape for one in probes}
     if len(probes) < 2 or len(shapes) > 1:
@@ -325,9 +316,10 @@ def _noise(probes: Sequence[Features]) -> FloatArray:
 def _feature(
     values: FloatArray, warm: FloatArray, prior: FloatArray, noise: float, count: int
 ) -> tuple[float, ...]:
-    """Deviation, its std, degrees of freedom, weighted mean and its std, of one feature.
+    """Return deviation, its std, degrees of freedom, weighted mean and its std, of one feature.
 
-    Values and temperatures (P,) are of all probes, the newest last; the first `count` tell.
+    Values and temperatures (P,) are of all probes, the newest last; the first `count` are the
+    reference.
     """
     X = np.column_stack([np.ones_like(warm), warm])
     known, y = X[:count], values[:count]
@@ -351,24 +343,24 @@ def _feature(
 
 
 def _prior(name: str, sigma: FloatArray) -> FloatArray:
-    """Of a and b, in the feature's unit."""
+    """Return the standard deviations of a and b, in the feature's unit."""
     what = name.rsplit(" ", 1)[1]
     if name.startswith("load "):
         return np.array(PRIORS["load"]) * (1.0 if what == "mass" else LEVER_M)
-    # Offsets of joints that are all alike in what they may be, whatever their current.
+    # One scale for all joints: an offset does not depend on how much current a joint needs.
     return np.array(PRIORS[what]) * (float(np.median(sigma)) if what == "offset" else 1.0)
 
 
 def _p(value: FloatArray, std: FloatArray, dof: FloatArray) -> FloatArray:
-    found: FloatArray = 2.0 * student.sf(np.abs(value) / std, dof)
-    return found
+    probability: FloatArray = 2.0 * student.sf(np.abs(value) / std, dof)
+    return probability
 
 
 LEAST_KG = 0.05
-"""Below this a place would be that of noise."""
+"""Smallest change of a load's mass whose place is told: below this it would be noise."""
 
 MOST = 4
-"""Causes named at most: what changes more is another robot."""
+"""Causes named at most: a robot with more changes is another robot."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -377,10 +369,10 @@ class Cause:
 
     Attributes:
         name: Feature; `load` for all of the load.
-        change: Of it, in its unit; of the load its mass.
-        std: How sure.
+        change: Change of the feature, in its unit; of the load the change of its mass.
+        std: Standard deviation of `change`.
         unit: `1` for a share.
-        text: For people.
+        text: The change in words.
     """
 
     name: str
@@ -397,54 +389,45 @@ class Cause:
         }  # fmt: skip
 
 
-def causes(probe: Features, chart: Charted, false_alarm: float, effort_unit: str) -> list[Cause]:
-    """Named greedily: the cause that explains most, then what is left without it.
+def causes(probe: Features, chart: Chart, false_alarm: float, effort_unit: str) -> list[Cause]:
+    """Return what has changed: the cause that explains most first, then what is left without it.
 
     Args:
-        probe: The newest.
-        chart: That says it is changed.
-        false_alarm: As it was charted with.
-        effort_unit: Of offsets.
+        probe: The newest probe.
+        chart: Its charts; without an alarm there are no causes.
+        false_alarm: Rate of false alarms of the charts.
+        effort_unit: Unit of offsets.
     """
     if not chart.alarm.any():
         return []
-    # What jumped says by how much itself; the mean is for what creeps.
+    # A jump is as large as the newest deviation; a slow change shows in the mean.
     jumped = bool(np.any(np.abs(chart.deviation) > chart.limit))
     left, p = (chart.deviation, chart.p) if jumped else (chart.mean, chart.p_mean)
+    # The normal deviation of the same probability: features of different noise are compared by it.
     size = norm.isf(np.maximum(p, 1e-300) / 2)
     scale = np.abs(left) / np.maximum(size, np.finfo(np.float64).tiny)
     # What a cause does to other features is known as well as the model fits along the motion.
     scale = np.maximum(scale, probe.std)
-    found: list[Cause] = []
     limit = float(norm.isf(false_alarm / len(left) / 4))
-    groups = _groups(probe.names)
-    while len(found) < MOST:
+    # A feature of a joint is a cause by itself, all features of the load are one.
+    load = [k for k, name in enumerate(probe.names) if name.startswith("load ")]
+    groups = [*([k] for k in range(len(left)) if k not in load), load]
+    named: list[Cause] = []
+    while len(named) < MOST:
         over = np.abs(left) > limit * scale
-        if not found:
+        if not named:
             over |= chart.alarm
         if not over.any():
             break
-        group = _best(left, scale, probe.response, [one for one in groups if over[one].any()])
-        found.append(_cause(probe, group, left, chart.std, effort_unit))
+
+        def rest(group: list[int], left: FloatArray = left) -> float:
+            """Return what is left if this group alone has changed by what it shows."""
+            return float(np.sum(((left - probe.response[:, group] @ left[group]) / scale) ** 2))
+
+        group = min((one for one in groups if over[one].any()), key=rest)
+        named.append(_cause(probe, group, left, chart.std, effort_unit))
         left = left - probe.response[:, group] @ left[group]
-    return found
-
-
-def _groups(names: Sequence[str]) -> list[list[int]]:
-    """Features that are one cause: each of a joint by itself, all of the load."""
-    load = [k for k, name in enumerate(names) if name.startswith("load ")]
-    return [*([k] for k in range(len(names)) if k not in load), load]
-
-
-def _best(
-    left: FloatArray, scale: FloatArray, response: FloatArray, groups: Sequence[list[int]]
-) -> list[int]:
-    """The cause that, changed alone by what it shows, leaves least of all of them."""
-
-    def rest(group: list[int]) -> float:
-        return float(np.sum(((left - response[:, group] @ left[group]) / scale) ** 2))
-
-    return min(groups, key=rest)
+    return named
 
 
 def _cause(
@@ -459,7 +442,7 @@ def _cause(
     if what == "offset":
         text = f"offset on {where}: {change:+.3g} ± {error:.2g} {effort_unit}"
         return Cause(probe.names[k], change, error, effort_unit, text)
-    # Effort is torque over gain: more effort for the same torque is less gain.
+    # Effort is torque divided by gain: more effort for the same torque is less gain.
     sense = ("up" if change > 0 else "down") if what == "friction" else "off"
     word = "friction" if what == "friction" else "effort for the same torque"
     text = f"{word} {sense} on {where}: {100 * change:+.1f} ± {100 * error:.1f} %"
@@ -467,45 +450,45 @@ def _cause(
 
 
 def _place(load: FloatArray) -> str:
-    """Of what was mounted or taken away; where the mass hardly changed there is none."""
+    """Return where mass was added or removed; empty if it hardly changed."""
     if abs(load[0]) < LEAST_KG:
         return ""
     return " at ({:.0f}, {:.0f}, {:.0f}) mm".format(*(1000.0 * load[1:] / load[0]))
 
 
-def told(found: Sequence[Cause]) -> str:
-    """One line."""
-    return "; ".join(cause.text for cause in found) or "nothing has changed"
+def causes_text(named: Sequence[Cause]) -> str:
+    """Return the causes in one line."""
+    return "; ".join(cause.text for cause in named) or "nothing has changed"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Banded:
-    """A probe, and what the charts expected of it.
+class ChartedProbe:
+    """A probe, and its charts.
 
     Attributes:
         probe: As it was judged.
-        chart: Of it and those of its program before it under the same champion.
+        chart: Of it and of the probes of its program before it under the same champion.
     """
 
     probe: Probe
-    chart: Charted
+    chart: Chart
 
     @property
     def expected(self) -> FloatArray:
-        """(K,) of an unchanged robot at this probe's temperature."""
+        """(K,) features of an unchanged robot at this probe's temperature."""
         return self.probe.features.values - self.chart.deviation
 
     @property
     def chance(self) -> float:
-        """Bound of the probability that an unchanged robot shows as much, anywhere.
+        """Bound of the probability that any feature of an unchanged robot deviates as much.
 
         Below the probe's false alarm rate the probe is called changed.
         """
         return min(1.0, 2.0 * len(self.probe.features.names) * self.probe.p)
 
 
-def banded(registry: Registry, name: str) -> list[Banded]:
-    """All probes of a name with what they were held against, in the order they were judged in.
+def charted_probes(registry: Registry, name: str) -> list[ChartedProbe]:
+    """Return all probes of a name with their charts, in the order in which they were judged.
 
     Raises:
         RegistryError: There is no such name, or its history or one of the champions is damaged.
@@ -516,19 +499,19 @@ def banded(registry: Registry, name: str) -> list[Banded]:
         number: registry.load(name, f"v{number}").sigma_
         for number in {probe.champion for probe in probes}
     }
-    found: list[Banded] = []
+    charted: list[ChartedProbe] = []
     for probe in probes:
-        quiet = quiet_like((one.probe for one in found), probe.champion, probe.program)
+        quiet = quiet_like((one.probe for one in charted), probe.champion, probe.program)
         features = [*(one.features for one in quiet), probe.features]
-        chart = charted(features, sigma[probe.champion], probe.false_alarm)
-        found.append(Banded(probe, chart))
-    return found
+        chart = chart_of(features, sigma[probe.champion], probe.false_alarm)
+        charted.append(ChartedProbe(probe, chart))
+    return charted
 
 
 def friction_change(
     model: RobotEstimator, data: Dataset, before: FloatArray, after: FloatArray
 ) -> FloatArray:
-    """Change of each joint's friction over the same motion at another temperature.
+    """Return the change of each joint's friction over the same motion at another temperature.
 
     Args:
         model: Has a friction part.
@@ -543,18 +526,17 @@ def friction_change(
     Raises:
         DataError: The model does not say which part of its prediction is friction.
     """
-    cold, warm = (_rms(model, data, celsius) for celsius in (before, after))
+
+    def friction_rms(celsius: FloatArray) -> FloatArray:
+        at = data.with_columns(temperature=np.broadcast_to(celsius, data["q"].shape).copy())
+        prediction = model.predict(at)
+        if "friction" not in prediction.components:
+            raise DataError(
+                f"{model.estimator} does not say which part of its prediction is friction",
+                hint="take a model whose estimator tells friction apart, such as rigid-hysteresis",
+            )
+        friction = prediction.components["friction"][np.all(prediction.valid, axis=1)]
+        return np.asarray(np.sqrt(np.mean(friction**2, axis=0)))
+
+    cold, warm = friction_rms(before), friction_rms(after)
     return warm / np.maximum(cold, np.finfo(np.float64).tiny) - 1.0
-
-
-def _rms(model: RobotEstimator, data: Dataset, celsius: FloatArray) -> FloatArray:
-    at = data.with_columns(temperature=np.broadcast_to(celsius, data["q"].shape).copy())
-    prediction = model.predict(at)
-    if "friction" not in prediction.components:
-        raise DataError(
-            f"{model.estimator} does not say which part of its prediction is friction",
-            hint="take a model whose estimator tells friction apart, such as rigid-hysteresis",
-        )
-    friction = prediction.components["friction"][np.all(prediction.valid, axis=1)]
-    found: FloatArray = np.sqrt(np.mean(friction**2, axis=0))
-    return found

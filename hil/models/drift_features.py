@@ -1,13 +1,13 @@
-"""What a probe says has changed: the champion's residual in terms of what can happen to an arm.
+"""The features of a probe: the champion's residual in terms of what can change in an arm.
 
     measured − predicted = Δfriction · friction + Δgain · effort + offset + load
 
-Per joint by how much friction, drive gain and offset differ from the model's; for the arm what
-hangs at the flange besides what was declared. Each cause is estimated as if it were the only one
-(but for offsets): together they would hardly be told apart in a wrist, whose effort is friction.
-What one cause does to the estimates of the others is known from the motion (`response`), and
-`hil.models.drift.causes` tells them apart by it. How sure a number is comes from leaving out one
-block of time after the other: neighbouring residuals are alike.
+Features of a joint are by how much its friction, drive gain and offset differ from the model's;
+those of the arm are the load at the flange beyond the declared one. Each is estimated as if it were
+the only one (but for offsets): estimated together they would hardly be distinguishable in a wrist,
+whose effort is mostly friction. What one cause does to the estimates of the others follows from the
+motion (`response`), by which `hil.models.drift.causes` tells them apart. Standard deviations come
+from leaving out one block of time after the other (jackknife), as neighbouring residuals are alike.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ FEWEST_DRIFT_BLOCKS = 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Features:
-    """What one probe says.
+    """The features of one probe.
 
     Attributes:
         names: Such as `elbow_joint friction`, `load mass`; joints first.
         values: (K,) changes: friction and gain as shares of what they were (0.15 is 15 % more),
             offset in effort units, the load in kg and kg·m.
-        std: (K,) of the noise of one probe.
+        std: (K,) standard deviations of the values, from the noise of this probe.
         temperature: (K,) mean of the joint's [°C], of all joints for the load; NaN if not measured.
         rms: (n,) of the residual, in effort units.
-        samples: Rows used.
+        samples: Number of rows used.
         response: (K, K) estimate of each feature if another alone changed by 1.
-        blocks: (B, K) what each block of time says of the values (the jackknife's pseudo-values).
+        blocks: (B, K) values of each block of time (the jackknife's pseudo-values).
     """
 
     names: tuple[str, ...]
@@ -70,42 +70,42 @@ class Features:
         }
 
     @staticmethod
-    def from_dict(told: dict[str, Any]) -> Features:
-        """Inverse of `to_dict`.
+    def from_dict(document: dict[str, Any]) -> Features:
+        """Return what `to_dict` has written.
 
         Raises:
             KeyError, TypeError, ValueError: Something is missing or garbled.
         """
         arrays = {
-            key: np.array([np.nan if v is None else v for v in told[key]], dtype=np.float64)
+            key: np.array([np.nan if v is None else v for v in document[key]], dtype=np.float64)
             for key in ("values", "std", "temperature_c", "rms")
         }
-        names = tuple(str(name) for name in told["names"])
+        names = tuple(str(name) for name in document["names"])
         if any(len(arrays[key]) != len(names) for key in ("values", "std", "temperature_c")):
             raise ValueError(f"{len(names)} names, {len(arrays['values'])} values")
-        response = np.array(told["response"], dtype=np.float64)
+        response = np.array(document["response"], dtype=np.float64)
         if response.shape != (len(names), len(names)):
             raise ValueError(f"response of shape {response.shape} for {len(names)} names")
-        blocks = np.array(told["blocks"], dtype=np.float64)
+        blocks = np.array(document["blocks"], dtype=np.float64)
         if blocks.ndim != 2 or blocks.shape[1] != len(names):
             raise ValueError(f"blocks of shape {blocks.shape} for {len(names)} names")
         return Features(
             names, arrays["values"], arrays["std"], arrays["temperature_c"], arrays["rms"],
-            int(told["samples"]), response, blocks,
+            int(document["samples"]), response, blocks,
         )  # fmt: skip
 
 
 def feature_names(joint_names: Sequence[str]) -> tuple[str, ...]:
-    """In the order of every array of `Features`."""
+    """Return the names of features, in the order of every array of `Features`."""
     joints = (f"{joint} {what}" for joint in joint_names for what in JOINT_FEATURES)
     return (*joints, *(f"load {what}" for what in LOAD_FEATURES))
 
 
 def features_of(model: RobotEstimator, data: Dataset) -> Features:
-    """Features of a probe's trajectories under a model.
+    """Return the features of a probe's trajectories under a model.
 
     Args:
-        model: The champion; has a friction part and knows torques.
+        model: The champion, whose prediction has a friction part.
         data: Whole series, each of some seconds, moving all joints.
 
     Raises:
@@ -141,21 +141,21 @@ def features_of(model: RobotEstimator, data: Dataset) -> Features:
 def _columns(
     model: RobotEstimator, data: Dataset, effort: FloatArray, friction: FloatArray
 ) -> FloatArray:
-    """(N, n, K) the residual's derivative by every feature."""
+    """Return the (N, n, K) derivative of the residual by every feature."""
     samples, n = effort.shape
     X = np.zeros((samples, n, len(JOINT_FEATURES) * n + len(LOAD_FEATURES)))
     for j in range(n):
         at = len(JOINT_FEATURES) * j
         X[:, j, at], X[:, j, at + 1], X[:, j, at + 2] = friction[:, j], effort[:, j], 1.0
-    motion = [_smooth(data, name) for name in ("q", "qd", "qdd")]
+    motion = [_smoothed(data, name) for name in ("q", "qd", "qdd")]
     load = model.robot_.payload_regressor(*motion).reshape(samples, n, -1)
     load = load[:, :, : len(LOAD_FEATURES)]
     X[:, :, -len(LOAD_FEATURES) :] = load / model.torque_scale_[None, :, None]
     return X
 
 
-def _smooth(data: Dataset, name: str) -> FloatArray:
-    """The filtered motion where there is one; without accelerations the load counts at rest."""
+def _smoothed(data: Dataset, name: str) -> FloatArray:
+    """Return the filtered motion, else the measured one, else zeros (accelerations only)."""
     for column in (f"{name}_f", name):
         if column in data.columns:
             return np.asarray(data[column])
@@ -172,7 +172,7 @@ def _moment(X: FloatArray, y: FloatArray) -> FloatArray:
 
 
 def _blocks(data: Dataset) -> Iterator[slice]:
-    """Rows of about `DRIFT_BLOCK_S`, never over the end of a series."""
+    """Yield the rows of blocks of about `DRIFT_BLOCK_S`, none over the end of a series."""
     for _, rows in data.slices():
         if rows.stop - rows.start < 2:
             continue
@@ -185,7 +185,7 @@ def _blocks(data: Dataset) -> Iterator[slice]:
 def _estimated(
     sums: Sequence[tuple[FloatArray, FloatArray]], n: int
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Values, their standard deviations by the jackknife over blocks, the response, the blocks."""
+    """Return values, standard deviations by the jackknife, response and values per block."""
     gram, moment = (np.sum([one[k] for one in sums], axis=0) for k in (0, 1))
     values, response = _alone(gram, moment, n), _alone(gram, gram, n)
     count = len(sums)
@@ -195,26 +195,27 @@ def _estimated(
 
 
 def _alone(gram: FloatArray, moment: FloatArray, n: int) -> FloatArray:
-    """(K, …) each feature as if it were the only one, offsets apart; moment is (K, …)."""
+    """Return (K, …) each feature as if it were the only one, offsets apart; moment is (K, …)."""
     per = len(JOINT_FEATURES)
     out = np.zeros_like(moment)
     for j in range(n):
         friction, gain, offset = range(per * j, per * j + per)
-        for wanted, beside in ((friction, offset), (gain, offset), (offset, friction)):
-            out[wanted] = _solve(gram, moment, [wanted, beside])[0]
+        for feature, beside in ((friction, offset), (gain, offset), (offset, friction)):
+            out[feature] = _solve(gram, moment, [feature, beside])[0]
     load = list(range(per * n, len(gram)))
     offsets = list(range(per - 1, per * n, per))
     out[load] = _solve(gram, moment, [*load, *offsets])[: len(load)]
     return out
 
 
-def _solve(gram: FloatArray, moment: FloatArray, chosen: Sequence[int]) -> FloatArray:
-    part = gram[np.ix_(chosen, chosen)]
+def _solve(gram: FloatArray, moment: FloatArray, columns: Sequence[int]) -> FloatArray:
+    """Solve the normal equations of some columns, scaled to a diagonal of ones."""
+    part = gram[np.ix_(columns, columns)]
     scale = 1.0 / np.sqrt(np.maximum(np.diag(part), np.finfo(np.float64).tiny))
-    right = (moment[chosen].T * scale).T
-    found = np.linalg.lstsq(part * scale[:, None] * scale, right)[0]
-    solved: FloatArray = (found.T * scale).T
-    return solved
+    right = (moment[columns].T * scale).T
+    scaled = np.linalg.lstsq(part * scale[:, None] * scale, right)[0]
+    solution: FloatArray = (scaled.T * scale).T
+    return solution
 
 
 def _temperatures(data: Dataset, n: int) -> FloatArray:

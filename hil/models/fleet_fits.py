@@ -1,9 +1,9 @@
 """Models of the robots of a fleet: one fit per run, stored and registered under the robots' names.
 
-Fits are computed by processes of this computer or a Dask cluster, the same bits wherever they are
-computed (`fit_runs`). A worker that sees the run directory reads it itself; to one that does not,
-the samples are sent (`RunToSend`). A robot whose fit fails leaves the others alone: its
-`FitResult` says why. `store_fits` and `register_fit` keep what was fitted.
+Fits are computed by processes of this computer or by a Dask cluster, equal to the bit wherever they
+are computed (`fit_runs`). A worker that sees the run directory reads it itself; to one that does
+not, the samples are sent (`RunToSend`). A robot whose fit fails leaves the others alone: its
+`FitResult` says why. `store_fits` stores the models, `register_fit` registers one.
 """
 
 from __future__ import annotations
@@ -48,11 +48,11 @@ from hil.spec import Accept, load_spec
 
 @dataclass(frozen=True, slots=True)
 class FitSettings:
-    """What is fitted.
+    """What is fitted to each run.
 
     Attributes:
         estimator: Name in `hil.estimators`.
-        parameters: Its own.
+        parameters: Parameters of the estimator.
     """
 
     estimator: str
@@ -60,7 +60,7 @@ class FitSettings:
 
 
 OnDone = Callable[[int], object]
-"""Told settings many are done."""
+"""Called with the number of tasks that are done."""
 
 
 def fit_runs(
@@ -71,16 +71,14 @@ def fit_runs(
     dask: str | None = None,
     tell: OnDone = lambda done: None,
 ) -> list[FitResult]:
-    """Fit every run by itself, in their order; equal to the bit wherever they are fitted.
-
-    A run that cannot be fitted leaves the others alone: its result says why.
+    """Fit every run by itself; return the results in the order of the runs.
 
     Args:
-        runs: Their directories.
+        runs: Run directories.
         settings: What to fit.
-        workers: Processes of this computer.
-        dask: Scheduler whose workers take their place.
-        tell: Told settings many are done.
+        workers: Number of processes of this computer.
+        dask: Address of a Dask scheduler whose workers take their place.
+        tell: Called with the number of fits that are done.
 
     Raises:
         FitError: Workers died again and again, or none is left.
@@ -89,19 +87,20 @@ def fit_runs(
     paths = [run.resolve() for run in runs]
     tasks = [_task(run, settings) for run in paths]
     with cluster(dask) as executor:
-        found = results_of(tasks, workers, executor, tell)
-        unseen = [i for i, one in enumerate(found) if one is None]
+        results = results_of(tasks, workers, executor, tell)
+        # None: the worker does not see that run, so it gets the samples.
+        unseen = [i for i, one in enumerate(results) if one is None]
         sent = [RunToSend(paths[i], settings) for i in unseen]
         more = results_of(sent, workers, executor, lambda done: tell(len(runs) - len(sent) + done))
         for i, one in zip(unseen, more, strict=True):
-            found[i] = one
-    return found
+            results[i] = one
+    return results
 
 
 def _task(run: Path, settings: FitSettings) -> Callable[[], FitResult | None]:
     try:
         return partial(fit_at, run, identity(run)[0], settings)
-    except DataError as error:  # deleted since: the others are still there
+    except DataError as error:  # the run was deleted meanwhile: the others are still there
         return partial(FitResult, error=error.message)
 
 
@@ -111,11 +110,11 @@ class FitResult:
 
     Attributes:
         folder: Name of the model's folder, `<estimator>-<digest>`.
-        files: Its content, by name; empty when there is no model.
-        rmse: (n,) raw, on what was held out.
-        passed: Whether that meets all criteria for models in the run's spec; None if it has none,
-            if they do not apply to such a model, or if some are about loads: only a run judges
-            those.
+        files: Its content, by name; empty if there is no model.
+        rmse: (n,) raw RMSE on what was held out.
+        passed: Whether the model meets all criteria for models in the run's spec; None if there are
+            none, if they do not apply to such a model, or if some are about loads, which only a run
+            judges.
         error: Why there is no model.
     """
 
@@ -142,7 +141,7 @@ class RunSplit:
 
 
 def split_of(run: Path, settings: FitSettings) -> RunSplit:
-    """What of a run is fitted to, and what is held out.
+    """Return the part of a run to fit to and the part that is held out.
 
     Raises:
         DataError: The run cannot be read, or nothing can be held out.
@@ -155,7 +154,7 @@ def split_of(run: Path, settings: FitSettings) -> RunSplit:
 
 
 def fit_split(split: RunSplit, settings: FitSettings) -> FitResult:
-    """Fit, judge, and give the model's files.
+    """Fit and judge; return the result with the model's files.
 
     Raises:
         FitError: The data do not allow it.
@@ -185,11 +184,11 @@ def fit_split(split: RunSplit, settings: FitSettings) -> FitResult:
 
 
 def fit_at(run: Path, uid: str, settings: FitSettings) -> FitResult | None:
-    """Fit a run by its path; None where that run is not to be found.
+    """Fit a run by its path; return None if that run is not there, as on another computer.
 
     Args:
         run: Its directory.
-        uid: Its identity.
+        uid: Its identity: on another computer another run may have this path.
         settings: What to fit.
     """
     try:
@@ -211,7 +210,7 @@ def _tried_fit(fit: Callable[[], FitResult]) -> FitResult:
 
 @dataclass(frozen=True, slots=True)
 class RunToSend:
-    """A fit of a run that the worker cannot see: the samples are read when they are sent.
+    """A task that fits a run which the worker does not see: pickling it reads the samples.
 
     Attributes:
         run: Its directory, here.
@@ -222,7 +221,7 @@ class RunToSend:
     settings: FitSettings
 
     def __call__(self) -> FitResult:
-        """Fit it here."""
+        """Fit the run in this process."""
         return _tried_fit(lambda: fit_split(split_of(self.run, self.settings), self.settings))
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -239,50 +238,49 @@ def _fit_sent(split: RunSplit, settings: FitSettings) -> FitResult:
 def results_of(
     tasks: Sequence[Callable[[], Any]], workers: int, executor: Executor | None, tell: OnDone
 ) -> list[Any]:
-    """Results of tasks, in their order; what dies with its process is computed again.
+    """Return the results of tasks, in their order; tasks that die with their process are repeated.
 
     Args:
-        tasks: Independent of each other, and able to travel to another process.
-        workers: Processes of this computer.
+        tasks: Independent of each other, and picklable.
+        workers: Number of processes of this computer.
         executor: Takes their place, and stays open.
-        tell: Told settings many are done.
+        tell: Called with the number of tasks that are done.
 
     Raises:
         FitError: Workers died again and again.
     """
-    costs = [1.0] * len(tasks)
-    found: dict[int, Any] = {}
 
-    def news(results: Mapping[int, Any]) -> None:
+    def count(results: Mapping[int, Any]) -> None:
         tell(len(results))
 
     if executor is not None:
-        return spread(tasks, costs, executor, news)
+        return spread(tasks, [1.0] * len(tasks), executor, count)
+    results: dict[int, Any] = {}
     for _ in range(TRIES):
-        left = [i for i in range(len(tasks)) if i not in found]
+        left = [i for i in range(len(tasks)) if i not in results]
         if not left:
             break
-        _on_processes([tasks[i] for i in left], left, workers, found, tell)
-    if len(found) < len(tasks):
+        _on_processes([tasks[i] for i in left], left, workers, results, tell)
+    if len(results) < len(tasks):
         raise FitError(
             f"{TRIES} times a process died while fitting",
             hint="they may be out of memory: --workers 1 needs the least of it",
         )
-    return [found[i] for i in range(len(tasks))]
+    return [results[i] for i in range(len(tasks))]
 
 
 def _on_processes(
     tasks: Sequence[Callable[[], Any]],
     numbers: Sequence[int],
     workers: int,
-    found: dict[int, Any],
+    results: dict[int, Any],
     tell: OnDone,
 ) -> None:
     """Compute tasks until all are done or a process dies, which ends the others of its pool."""
 
-    def keep(results: Mapping[int, Any]) -> None:
-        found.update({numbers[i]: result for i, result in results.items()})
-        tell(len(found))
+    def keep(new: Mapping[int, Any]) -> None:
+        results.update({numbers[i]: result for i, result in new.items()})
+        tell(len(results))
 
     pool = processes(min(workers, len(tasks)))
     try:
@@ -302,13 +300,13 @@ class RobotFit:
 
     Attributes:
         robot: Its name.
-        run: It was fitted to.
+        run: Run that was fitted to.
         result: Of the fit.
-        model: Folder of the model, None without one.
-        registered: Version in the registry, such as `v3`; empty if that was not asked.
-        role: `champion` or `challenger`; empty where it is neither.
+        model: Folder of the model; None without one.
+        registered: Version in the registry, such as `v3`; empty if it was not registered.
+        role: `champion` or `challenger`; empty if it is neither.
         verdict: On the run: `passed`, `rejected` or `not judged`.
-        refused: Why the registry does not take it, else empty.
+        refused: Why it was not registered; empty if it was, or was not to be.
     """
 
     robot: str
@@ -322,11 +320,11 @@ class RobotFit:
 
     @property
     def error(self) -> str:
-        """Why there is no model, or none in the registry; else empty."""
+        """Why there is no model, or why it was not registered; else empty."""
         return self.result.error or self.refused
 
     def to_dict(self) -> dict[str, Any]:
-        """An entry of `hil fleet fit --json`."""
+        """Return an entry of `hil fleet fit --json`."""
         return {
             "robot": self.robot,
             "run": str(self.run),
@@ -341,7 +339,7 @@ class RobotFit:
 
 
 def robot_of(run: Path) -> str:
-    """The name of a run's robot in its station; of one that has gone, as its folder had it."""
+    """Return the name of a run's robot in its station; of a deleted run that of its folder."""
     try:
         return str(read_json(run / "start.json")["robot_name"])
     except (DataError, KeyError):
@@ -349,32 +347,32 @@ def robot_of(run: Path) -> str:
 
 
 def store_fits(runs: Sequence[Path], results: Sequence[FitResult], out: Path) -> list[RobotFit]:
-    """Store models as `out/ROBOT/<estimator>-<digest>`.
+    """Store models as `out/ROBOT/<estimator>-<digest>`; equal files stay as they are.
 
     Raises:
         OSError: They cannot be written.
     """
-    return [_store(run, one, out) for run, one in zip(runs, results, strict=True)]
-
-
-def _store(run: Path, result: FitResult, out: Path) -> RobotFit:
-    robot, verdict = robot_of(run), verdict_word(run)
-    if not result.files:
-        return RobotFit(robot, run, result, verdict=verdict)
-    folder = out / robot / result.folder
-    folder.mkdir(parents=True, exist_ok=True)
-    for name, content in result.files.items():
-        if not (folder / name).exists() or (folder / name).read_bytes() != content:
-            write_whole(folder / name, content)
-    return RobotFit(robot, run, result, folder, verdict=verdict)
+    fits = []
+    for run, result in zip(runs, results, strict=True):
+        robot, verdict = robot_of(run), verdict_word(run)
+        if not result.files:
+            fits.append(RobotFit(robot, run, result, verdict=verdict))
+            continue
+        folder = out / robot / result.folder
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, content in result.files.items():
+            if not (folder / name).exists() or (folder / name).read_bytes() != content:
+                write_whole(folder / name, content)
+        fits.append(RobotFit(robot, run, result, folder, verdict=verdict))
+    return fits
 
 
 def register_fit(fit: RobotFit, registry: Registry) -> RobotFit:
     """Register a model under its robot's name, as challenger; a first good one becomes champion.
 
-    Good is what meets its run's criteria. What misses them, or is of a run that was rejected,
-    becomes neither; what nobody has judged, challenger at most. A model of another individual than
-    the name's is refused.
+    A good model meets its run's criteria. One that misses them, or is of a run that was rejected,
+    becomes neither; one that was not judged becomes challenger at most. A model of another
+    individual than the name's is refused.
 
     Raises:
         RegistryError: The registry cannot be written.
@@ -398,7 +396,7 @@ def register_fit(fit: RobotFit, registry: Registry) -> RobotFit:
 
 
 def _of_another(name: str, serial: str, registry: Registry) -> str:
-    """Why a model is not of the robot that a name stands for; empty if it is, or nobody knows."""
+    """Return why a model is not of the robot of a name; empty if it is, or if that is unknown."""
     if not serial or name not in registry.names():
         return ""
     versions, champion = registry.versions(name), registry.aliases(name).champion

@@ -1,12 +1,11 @@
-"""Who stands out among equal robots, after what age and temperature explain is taken out.
+"""Outliers among equal robots, after what age and temperature explain is taken out.
 
 A factor on friction (wear, a gearbox that fails) is a difference of logarithms, so values are
 compared by their logarithm, joint by joint. Huber's regression takes out what age and temperature
-explain, the median absolute deviation says how much robots differ, and a robot stands out whose
-residual is larger than the largest of a whole fleet of normal ones in 99 of 100 fleets. That
-limit is simulated for this very fleet: so many robots and joints, of these ages and temperatures.
-It is as good as that distribution: where equals differ by heavier tails than the normal one's,
-more fleets than one of a hundred have a robot that stands out.
+explain, and the median absolute deviation scales the residuals (z). The limit of |z| is simulated
+for just this fleet, with its number of robots and joints, its ages and its temperatures: in 99 of
+100 fleets of equal robots with normal noise no |z| at all is larger. With heavier tails than the
+normal distribution's, more than one fleet of a hundred has an outlier.
 """
 
 from __future__ import annotations
@@ -22,17 +21,17 @@ from hil.core import BoolArray, FloatArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparison:
-    """How the robots of a fleet stand to one another in one quantity.
+    """The robots of a fleet compared in one quantity.
 
     Attributes:
-        names: Of what the quantity may depend on, such as `age`.
-        slopes: (c, n) what a unit of each adds, as a share (0.02 is 2 %).
-        errors: (c, n) standard errors of these.
-        expected: (R, n) what age and temperature explain.
+        names: Covariates that the quantity may depend on, such as `age`.
+        slopes: (c, n) what a unit of each covariate adds, as a share (0.02 is 2 %).
+        errors: (c, n) standard errors of the slopes.
+        expected: (R, n) values that the covariates explain.
         z: (R, n) robust z; NaN where a value is missing.
-        limit: Above which somebody stands out.
-        left_out: By name of a quantity the robots that do not tell it, and so are not compared.
-        unused: Quantities that fewer than half of the robots tell, and so explain nothing.
+        limit: Above this |z| a robot is an outlier.
+        left_out: Covariate → robots that lack it, and so are not compared.
+        unused: Covariates that fewer than half of the robots have, and so explain nothing.
     """
 
     names: tuple[str, ...]
@@ -46,33 +45,33 @@ class Comparison:
 
     @property
     def outlying(self) -> BoolArray:
-        """(R, n) who stands out."""
+        """(R, n) whether a robot is an outlier in a joint."""
         return np.asarray(np.abs(self.z) > self.limit)
 
 
 FEWEST = 8
-"""Robots below which nothing is said: three of five always look alike."""
+"""Fewest robots that are compared: of five, three always look alike."""
 
 FAMILY_WISE = 0.01
-"""Probability that in a fleet of equals anybody stands out at all."""
+"""Probability that a fleet of equal robots has any outlier."""
 
 
-def compare_robots(values: FloatArray, given: Mapping[str, FloatArray]) -> Comparison | None:
-    """Compare the robots of a fleet; None when there are too few.
+def compare_robots(values: FloatArray, covariates: Mapping[str, FloatArray]) -> Comparison | None:
+    """Return how the robots of a fleet compare; None if there are too few.
 
     Args:
         values: (R, n) positive, per robot and joint; NaN where not known.
-        given: By name what it may depend on, (R,) or (R, n); NaN where not known. What most robots
-            tell is taken out, and those that do not tell it are not compared; what is the same for
-            all explains nothing.
+        covariates: By name what the values may depend on, (R,) or (R, n); NaN where not known. A
+            covariate that most robots have is taken out, and the others are not compared; one that
+            is the same for all robots explains nothing.
     """
     known = np.all(np.isfinite(values) & (values > 0), axis=1)
-    wide = {name: np.broadcast_to(_columns(one), values.shape) for name, one in given.items()}
-    silent = {name: known & ~np.isfinite(one).all(axis=1) for name, one in wide.items()}
-    unused = tuple(name for name, rows in silent.items() if 0 < known.sum() < 2 * rows.sum())
+    wide = {name: np.broadcast_to(_columns(one), values.shape) for name, one in covariates.items()}
+    lacking = {name: known & ~np.isfinite(one).all(axis=1) for name, one in wide.items()}
+    unused = tuple(name for name, rows in lacking.items() if 0 < known.sum() < 2 * rows.sum())
     left_out = {
         name: tuple(map(int, np.flatnonzero(rows)))
-        for name, rows in silent.items()
+        for name, rows in lacking.items()
         if name not in unused and rows.any()
     }
     for rows in left_out.values():
@@ -83,17 +82,18 @@ def compare_robots(values: FloatArray, given: Mapping[str, FloatArray]) -> Compa
     n = y.shape[1]
     wide = {name: one[known] for name, one in wide.items()}
     names = tuple(name for name, one in wide.items() if _varies(one))
-    # Two columns a joint at most: with as many robots as parameters everybody is explained.
+    # One covariate, and one more per four further robots: as many parameters as robots would
+    # explain every value.
     names = names[: max(0, (len(y) - FEWEST) // 4 + 1)]
-    given_by_joint = [np.array([wide[name][:, j] for name in names]) for j in range(n)]
-    fits = [_fit_joint(y[:, j], given_by_joint[j].reshape(-1, len(y)), j) for j in range(n)]
+    by_joint = [np.array([wide[name][:, j] for name in names]) for j in range(n)]
+    fits = [_fit_joint(y[:, j], by_joint[j].reshape(-1, len(y)), j) for j in range(n)]
     slopes, errors, fitted, scores, largest = zip(*fits, strict=True)
     limit = float(np.quantile(np.max(largest, axis=0), 1 - FAMILY_WISE))
     expected, z = np.full(values.shape, np.nan), np.full(values.shape, np.nan)
     expected[known], z[known] = np.exp(np.column_stack(fitted)), np.column_stack(scores)
     return Comparison(
         names, np.column_stack(slopes), np.column_stack(errors), expected, z, limit, left_out,
-        tuple(name for name in unused if np.isfinite(given[name]).any()),
+        tuple(name for name in unused if np.isfinite(covariates[name]).any()),
     )  # fmt: skip
 
 
@@ -106,27 +106,34 @@ def _varies(one: FloatArray) -> bool:
 
 
 def _fit_joint(
-    y: FloatArray, given: FloatArray, joint: int
+    y: FloatArray, covariates: FloatArray, joint: int
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Slopes, their errors, what is explained, z, and the largest |z| of each simulated fleet."""
-    spread = np.std(given, axis=1)
-    X = np.column_stack([np.ones(len(y)), *((given.T - given.mean(axis=1)) / spread).T])
+    """Return slopes, their errors, expected values, z, and the largest |z| per simulated fleet."""
+    spread = np.std(covariates, axis=1)
+    centred = (covariates.T - covariates.mean(axis=1)) / spread
+    X = np.column_stack([np.ones(len(y)), *centred.T])
     beta, scale = huber(X, y[:, None])
-    fitted = X @ beta[:, 0]
+    expected = X @ beta[:, 0]
     largest, deviation = _simulated_fleets(X.tobytes(), X.shape, joint)
     errors = deviation[1:] * scale[0] / spread
-    return beta[1:, 0] / spread, errors, fitted, (y - fitted) / scale[0], largest
+    return beta[1:, 0] / spread, errors, expected, (y - expected) / scale[0], largest
 
 
 SIMULATED = 1500
-"""Fleets of equals; each takes about a millisecond."""
+"""Number of simulated fleets of equal robots; each takes about a millisecond."""
 
 
 @lru_cache(maxsize=64)
 def _simulated_fleets(
     content: bytes, shape: tuple[int, int], joint: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Of fleets whose robots are equal but for noise: largest |z|, and spread of coefficients."""
+    """Return largest |z| and spread of coefficients of fleets whose robots differ by noise alone.
+
+    Args:
+        content: (R, p) columns of the regression as bytes, for the cache.
+        shape: Of the columns.
+        joint: Seeds the noise.
+    """
     X = np.frombuffer(content).reshape(shape)
     noise = np.random.default_rng([20, joint, *shape]).standard_normal((shape[0], SIMULATED))
     beta, scale = huber(X, noise)
@@ -146,7 +153,7 @@ LEAST = 1e-12
 
 
 def huber(X: FloatArray, Y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Huber's regression of many columns at once, scaled by the median absolute deviation.
+    """Fit many columns at once by Huber's regression, scaled by the median absolute deviation.
 
     Args:
         X: (R, p) with a column of ones.

@@ -1,9 +1,9 @@
-"""The state of every robot of a fleet: drift, friction, temperature and age, and who stands out.
+"""The state of every robot of a fleet: drift, friction, temperature and age, and its outliers.
 
-`probe_fleet` judges the runs of a fleet as probes, each against its robot's champion, at such a
-rate of false alarms that the whole fleet's is as stated. `survey_fleet` reads the last probe, the
-friction of the last model and the temperature of every robot, and compares the robots joint by
-joint (`fleet_outliers`).
+`survey_fleet` reads the last probe, the friction of the last model and the temperature of every
+robot, and compares the robots joint by joint (`fleet_outliers`). `probe_fleet` judges the runs of a
+fleet as probes, each against its robot's champion, at such a rate of false alarms that the rate of
+the whole fleet is the one asked for.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ from hil.spec import load_station
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurveyedRobot:
-    """One robot as it was measured.
+    """The state of one robot.
 
     Attributes:
         robot: Its name.
-        run: It was measured in.
-        model: Folder of the model fitted to that run.
-        age: Years in service on that day; NaN where the station does not say since when it is.
+        run: Its run for this fleet.
+        model: Folder of the model fitted to that run; None without one.
+        age: Years in service on the day of the run; NaN if the station has no `in_service`.
         joint_names: Length n.
-        friction: (n,) RMS of what the model says is friction, along the run's trajectories [N·m].
-        temperature: (n,) mean of the joints there [°C]; NaN where it is not measured.
-        probe: The last probe of that name under its present champion, None without.
-        problem: What could not be read of it, else empty.
+        friction: (n,) RMS of the friction by the model, along the run's trajectories [N·m].
+        temperature: (n,) mean of the joints in the run [°C]; NaN if not measured.
+        probe: The last probe under its present champion; None without one.
+        problem: What could not be read of it; empty if all could.
     """
 
     robot: str
@@ -60,11 +60,11 @@ class SurveyedRobot:
         """(n,) friction now as a share of the champion's, by the last probe; NaN without one."""
         if self.probe is None:
             return np.full(len(self.joint_names), np.nan)
-        told = dict(zip(self.probe.features.names, self.probe.features.values, strict=True))
-        return np.array([1.0 + told.get(f"{name} friction", np.nan) for name in self.joint_names])
+        values = dict(zip(self.probe.features.names, self.probe.features.values, strict=True))
+        return np.array([1.0 + values.get(f"{name} friction", np.nan) for name in self.joint_names])
 
     def to_dict(self) -> dict[str, Any]:
-        """An entry of `hil fleet report --json`."""
+        """Return an entry of `hil fleet report --json`."""
         return {
             "robot": self.robot,
             "run": str(self.run),
@@ -83,15 +83,16 @@ class SurveyedRobot:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Survey:
-    """A fleet of equal arms, and how its robots stand to one another.
+    """A fleet of equal arms, and its robots compared with one another.
 
     Attributes:
         name: Of the fleet.
-        folder: Where it is kept.
-        robots: Measured ones.
+        folder: Of the fleet.
+        robots: The measured ones.
         missing: Names of the others.
-        friction: In friction; None with too few robots.
-        change: In friction as a share of their champions'; None with too few probes.
+        friction: Comparison of their friction; None with too few robots.
+        change: Comparison of their friction as a share of their champions'; None with too few
+            probes.
     """
 
     name: str
@@ -103,32 +104,32 @@ class Survey:
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """Of the arms; empty where nobody has a model."""
+        """Of the arms; empty if no robot has a model."""
         return next((one.joint_names for one in self.robots if one.joint_names), ())
 
     @property
     def drifted(self) -> tuple[SurveyedRobot, ...]:
-        """Robots whose last probe under their present champion says that they have changed."""
+        """Robots that have changed by their last probe under their present champion."""
         return tuple(one for one in self.robots if one.probe is not None and one.probe.changed)
 
     @property
     def false_alarms(self) -> float:
-        """Robots, at most, that are expected among `drifted` if nobody has changed.
+        """Number of robots, at most, that are expected among `drifted` if none has changed.
 
-        The sum of the rates at which their last probes were judged.
+        It is the sum of the rates at which their last probes were judged.
         """
         return sum(one.probe.false_alarm for one in self.robots if one.probe is not None)
 
     def outlying(self, which: Comparison | None) -> list[tuple[int, int]]:
-        """(robot, joint) of what stands out in a quantity, the farthest first."""
+        """Return (robot, joint) of the outliers in a quantity, the farthest first."""
         if which is None:
             return []
         order = np.argsort(-np.abs(np.nan_to_num(which.z)), axis=None)
-        found = np.column_stack(np.unravel_index(order, which.z.shape))
-        return [(int(i), int(j)) for i, j in found if which.outlying[i, j]]
+        places = np.column_stack(np.unravel_index(order, which.z.shape))
+        return [(int(i), int(j)) for i, j in places if which.outlying[i, j]]
 
     def to_dict(self) -> dict[str, Any]:
-        """The contract of `hil fleet report --json`."""
+        """Return the contract of `hil fleet report --json`."""
         return {
             "fleet": str(self.folder),
             "name": self.name,
@@ -138,11 +139,11 @@ class Survey:
             "missing": list(self.missing),
             "drifted": [one.robot for one in self.drifted],
             "false_alarms": self.false_alarms,
-            "friction": self._standing(self.friction),
-            "change": self._standing(self.change),
+            "friction": self._compared(self.friction),
+            "change": self._compared(self.change),
         }
 
-    def _standing(self, which: Comparison | None) -> dict[str, Any] | None:
+    def _compared(self, which: Comparison | None) -> dict[str, Any] | None:
         if which is None:
             return None
         names = self.joint_names
@@ -160,7 +161,7 @@ class Survey:
 
 
 def survey_fleet(path: Path, registry: Registry, *, workers: int) -> Survey:
-    """Look at every robot of a fleet that has been measured.
+    """Return the state of every robot of a fleet that has been measured.
 
     Args:
         path: Folder of the fleet.
@@ -178,36 +179,36 @@ def survey_fleet(path: Path, registry: Registry, *, workers: int) -> Survey:
             f"no robot of {fleet.path} has been measured", hint=f"hil fleet resume {fleet.path}"
         )
     tasks = [partial(survey_robot, run, _model_of(fleet, run)) for run in runs]
-    known = set(registry.names())
-    found: list[SurveyedRobot] = results_of(tasks, workers, None, lambda done: None)
-    robots = [_with_last_probe(one, registry) if one.robot in known else one for one in found]
+    registered = set(registry.names())
+    robots: list[SurveyedRobot] = results_of(tasks, workers, None, lambda done: None)
+    robots = [_with_last_probe(one, registry) if one.robot in registered else one for one in robots]
     if len({one.joint_names for one in robots if one.joint_names}) > 1:
         raise DataError(
             f"the robots of {fleet.path} are different arms",
             hint="run a fleet of each: their friction cannot be compared",
         )
     n = max(len(one.joint_names) for one in robots)
-    given = {
+    covariates = {
         "age": np.array([one.age for one in robots]),
         "temperature": np.array([_wide(one.temperature, n) for one in robots]),
     }
     return Survey(
         str(fleet.head["name"]), fleet.path, tuple(robots),
         tuple(one.robot for one in fleet.members() if one.report.get("outcome") != "completed"),
-        compare_robots(np.array([_wide(one.friction, n) for one in robots]), given),
-        compare_robots(np.array([_wide(one.change, n) for one in robots]), given),
+        compare_robots(np.array([_wide(one.friction, n) for one in robots]), covariates),
+        compare_robots(np.array([_wide(one.change, n) for one in robots]), covariates),
     )  # fmt: skip
 
 
 def _model_of(fleet: FleetGroup, run: Path) -> Path | None:
-    """The model fitted last: by `hil fleet fit` of this fleet, else by the run itself."""
-    ours = [one.parent for one in (fleet.models / robot_of(run)).glob("*/model.json")]
-    newest = max(ours, key=lambda one: (one / "model.json").stat().st_mtime, default=None)
-    return newest or next(iter(models_below(run)), None)
+    """Return the model fitted last: by `hil fleet fit` of this fleet, else by the run itself."""
+    files = (fleet.models / robot_of(run)).glob("*/model.json")
+    newest = max(files, key=lambda file: file.stat().st_mtime, default=None)
+    return newest.parent if newest else next(iter(models_below(run)), None)
 
 
 def _with_last_probe(one: SurveyedRobot, registry: Registry) -> SurveyedRobot:
-    """With its last probe under the present champion: one before is of another model's errors."""
+    """Return a robot with its last probe under the present champion; other probes say nothing."""
     try:
         champion = registry.aliases(one.robot).champion
         probes = [each for each in probes_of(registry, one.robot) if each.champion == champion]
@@ -217,11 +218,12 @@ def _with_last_probe(one: SurveyedRobot, registry: Registry) -> SurveyedRobot:
 
 
 def _wide(values: FloatArray, n: int) -> FloatArray:
+    """Return values of n joints; NaN for a robot without a model."""
     return values if len(values) == n else np.full(n, np.nan)
 
 
 def survey_robot(run: Path, model: Path | None) -> SurveyedRobot:
-    """One robot, but for its probes; computed by a worker."""
+    """Return the state of one robot without its probes; computed by a worker."""
     robot, age = robot_of(run), _age_years(run)
     try:
         if model is None:
@@ -240,7 +242,7 @@ DAYS_A_YEAR = 365.25
 
 
 def _age_years(run: Path) -> float:
-    """Years from the station's `in_service` to the run; NaN where either is not told."""
+    """Return the years from the station's `in_service` to the run; NaN if either is unknown."""
     try:
         start = read_json(run / "start.json")
         station = load_station(run / "station.yaml", look_up=False)
@@ -252,6 +254,7 @@ def _age_years(run: Path) -> float:
 
 
 def _friction(run: Path, model: Path) -> tuple[tuple[str, ...], FloatArray, FloatArray]:
+    """Return joint names, (n,) RMS of friction [N·m] and (n,) mean temperature [°C] of a run."""
     fitted = load_model_file(model)
     data = usable_part(load_source(run), fitted)
     prediction = fitted.predict(data)
@@ -271,12 +274,12 @@ def _friction(run: Path, model: Path) -> tuple[tuple[str, ...], FloatArray, Floa
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotProbe:
-    """What was said of one robot.
+    """The probe of one robot of a fleet.
 
     Attributes:
         robot: Its name.
-        asked: False-alarm rate that was asked for it, so that the fleet's is as stated.
-        probe: None where it could not be judged.
+        asked: Rate of false alarms asked for it, so that the fleet's is the one asked for.
+        probe: None if the robot could not be judged.
         error: Why not, else empty.
     """
 
@@ -287,16 +290,16 @@ class RobotProbe:
 
     @property
     def note(self) -> str:
-        """What is to be known of the judgement: it may be one that was made before."""
+        """A note if the probe was judged earlier, at another rate of false alarms; else empty."""
         if self.probe is None or math.isclose(self.probe.false_alarm, self.asked, rel_tol=1e-9):
             return ""
         return f"judged before, at a rate of {self.probe.false_alarm:.2g}, not {self.asked:.2g}"
 
     def to_dict(self) -> dict[str, Any]:
-        """An entry of `hil fleet drift --json`."""
-        told = {} if self.probe is None else self.probe.to_dict()
+        """Return an entry of `hil fleet drift --json`."""
+        probe = {} if self.probe is None else self.probe.to_dict()
         more = {"asked": self.asked, "note": self.note or None, "error": self.error or None}
-        return {"robot": self.robot, **told, **more}
+        return {"robot": self.robot, **probe, **more}
 
 
 def probe_fleet(path: Path, registry: Registry, false_alarm: float) -> list[RobotProbe]:
@@ -305,8 +308,8 @@ def probe_fleet(path: Path, registry: Registry, false_alarm: float) -> list[Robo
     Args:
         path: Folder of the fleet.
         registry: With champions of the robots.
-        false_alarm: Probability with which any of the robots is called changed though none is:
-            nominally, of probes that are judged now and know nothing of one another.
+        false_alarm: Probability with which any of the robots is called changed if none is:
+            nominally, for independent probes that are judged now.
 
     Raises:
         DataError: It is no fleet.

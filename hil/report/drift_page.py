@@ -12,7 +12,15 @@ from typing import Any
 import numpy as np
 
 from hil.core import DataError, FloatArray
-from hil.models import CHAMPION_EVENTS, JOINT_FEATURES, REFERENCE, Banded, Entry, Registry, banded
+from hil.models import (
+    CHAMPION_EVENTS,
+    JOINT_FEATURES,
+    REFERENCE,
+    ChartedProbe,
+    Entry,
+    Registry,
+    charted_probes,
+)
 from hil.report import colours
 from hil.report.page import Badge, Cell, Column, KeyFigure, Page, Section, Table, cells, write_page
 from hil.report.words import UNKNOWN, counted, joint_title, number, when
@@ -59,7 +67,7 @@ def drift_page(registry: Registry, name: str) -> Page:
         DataError, RegistryError: As `write_drift_page`.
     """
     log = registry.log(name)
-    told = banded(registry, name)
+    told = charted_probes(registry, name)
     if not told:
         raise DataError(f"there are no probes of {name} yet", hint=f"hil drift {name} PROBE")
     told, along = in_time(told, log)
@@ -85,7 +93,7 @@ def effort_unit(registry: Registry, name: str) -> str:
     return "A" if kind == "current" else "N·m"
 
 
-def in_time(told: Sequence[Banded], log: Sequence[Entry]) -> tuple[list[Banded], Along]:
+def in_time(told: Sequence[ChartedProbe], log: Sequence[Entry]) -> tuple[list[ChartedProbe], Along]:
     """Probes along the time they were taken at; along their number where that is not known."""
     if all(_moment(one.probe.at) for one in told):
         told = sorted(told, key=lambda one: _moment(one.probe.at))
@@ -105,14 +113,14 @@ def in_time(told: Sequence[Banded], log: Sequence[Entry]) -> tuple[list[Banded],
     return list(told), Along(numbers, "probe [1]", "probe", tuple(at))
 
 
-def badge(newest: Banded) -> Badge:
+def badge(newest: ChartedProbe) -> Badge:
     """What the newest probe says, in a word."""
     if newest.probe.changed:
         return Badge("changed", "warn")
     return Badge("unchanged", "pass") if newest.probe.reference >= 2 else Badge("too early", "")
 
 
-def key_figures(told: Sequence[Banded]) -> tuple[KeyFigure, ...]:
+def key_figures(told: Sequence[ChartedProbe]) -> tuple[KeyFigure, ...]:
     """How many probes, how many that say something, how sure."""
     probe = told[-1].probe
     changed = sum(one.probe.changed for one in told)
@@ -130,7 +138,7 @@ def key_figures(told: Sequence[Banded]) -> tuple[KeyFigure, ...]:
     )  # fmt: skip
 
 
-def drift_sections(told: Sequence[Banded], along: Along, unit: str) -> list[Section]:
+def drift_sections(told: Sequence[ChartedProbe], along: Along, unit: str) -> list[Section]:
     """What the probes say: all together, then each kind of change by itself."""
     return [
         _probes_section(told, along, unit),
@@ -164,13 +172,13 @@ def champion_changes(log: Sequence[Entry]) -> Section:
     )
 
 
-def joint_names(told: Sequence[Banded]) -> list[str]:
+def joint_names(told: Sequence[ChartedProbe]) -> list[str]:
     """Of the robot, from the features' names."""
     names = told[0].probe.features.names[:: len(JOINT_FEATURES)]
     return [name.rsplit(" ", 1)[0] for name in names if not name.startswith("load ")]
 
 
-def _probes_section(told: Sequence[Banded], along: Along, unit: str) -> Section:
+def _probes_section(told: Sequence[ChartedProbe], along: Along, unit: str) -> Section:
     rate = 100 * told[-1].probe.false_alarm
     joints = joint_names(told)
     chance = Figure(
@@ -192,7 +200,7 @@ def _probes_section(told: Sequence[Banded], along: Along, unit: str) -> Section:
     return Section("probes", "Probes", "", (chance, _probes_table(told, along), error))
 
 
-def _probes_table(told: Sequence[Banded], along: Along) -> Table:
+def _probes_table(told: Sequence[ChartedProbe], along: Along) -> Table:
     columns = (
         Column("taken", number=False), Column("what it says", number=False),
         Column("chance", number=False), Column("champion", number=False),
@@ -211,7 +219,7 @@ def _probes_table(told: Sequence[Banded], along: Along) -> Table:
     return Table("Every probe, and what it says has changed", columns, rows)
 
 
-def _feature_section(told: Sequence[Banded], along: Along, unit: str, what: str) -> Section:
+def _feature_section(told: Sequence[ChartedProbe], along: Along, unit: str, what: str) -> Section:
     words = {
         "friction": "How much more friction than the champion believes, joint by joint.",
         "gain": "How much more effort for the same torque, joint by joint: a drive's gain is off.",
@@ -221,14 +229,19 @@ def _feature_section(told: Sequence[Banded], along: Along, unit: str, what: str)
     return _kind(told, along, unit, what.capitalize(), words[what], named)
 
 
-def _load_section(told: Sequence[Banded], along: Along, unit: str) -> Section:
+def _load_section(told: Sequence[ChartedProbe], along: Along, unit: str) -> Section:
     named = [k for k, name in enumerate(told[0].probe.features.names) if name.startswith("load ")]
     lead = "What hangs at the flange besides what was declared: its mass, and mass times place."
     return _kind(told, along, unit, "Load", lead, named)
 
 
 def _kind(
-    told: Sequence[Banded], along: Along, unit: str, title: str, lead: str, named: Sequence[int]
+    told: Sequence[ChartedProbe],
+    along: Along,
+    unit: str,
+    title: str,
+    lead: str,
+    named: Sequence[int],
 ) -> Section:
     """Panels of features of a kind, open if one of them is ever a cause, or friction."""
     wide = (
@@ -244,7 +257,7 @@ def _kind(
     return Section(kind, title, "", (figure,), folded=kind != "friction" and not is_cause)
 
 
-def _temperature_section(told: Sequence[Banded], along: Along, unit: str) -> Section:
+def _temperature_section(told: Sequence[ChartedProbe], along: Along, unit: str) -> Section:
     names, joints = told[0].probe.features.names, joint_names(told)
     celsius = np.array([one.probe.features.temperature for one in told])
     if not np.isfinite(celsius).all():
@@ -318,7 +331,7 @@ class Along:
         return [self.x[row] for row in rows]
 
 
-def over_time(told: Sequence[Banded], k: int, along: Along, effort_unit: str) -> Panel:
+def over_time(told: Sequence[ChartedProbe], k: int, along: Along, effort_unit: str) -> Panel:
     """Feature `k` of every probe, and where it would lie if nothing had changed."""
     name = told[0].probe.features.names[k]
     values, expected, limit = _shown(told, k)
@@ -336,7 +349,7 @@ def over_time(told: Sequence[Banded], k: int, along: Along, effort_unit: str) ->
     )
 
 
-def over_temperature(told: Sequence[Banded], k: int, effort_unit: str) -> Panel:
+def over_temperature(told: Sequence[ChartedProbe], k: int, effort_unit: str) -> Panel:
     """Feature `k` against the joint's temperature, with what the newest charts say of the two."""
     name = told[0].probe.features.names[k]
     values, expected, _ = _shown(told, k)
@@ -356,7 +369,7 @@ def over_temperature(told: Sequence[Banded], k: int, effort_unit: str) -> Panel:
     return Panel(title, along.title, y_title, tuple(curves), alt=alt)
 
 
-def chances(told: Sequence[Banded], along: Along) -> Panel:
+def chances(told: Sequence[ChartedProbe], along: Along) -> Panel:
     """How probable each probe is of an unchanged robot, on a logarithmic scale."""
     # Below that a normal distribution says nothing of a real robot.
     values = np.maximum([one.chance for one in told], 1e-12)
@@ -375,13 +388,13 @@ def chances(told: Sequence[Banded], along: Along) -> Panel:
     )
 
 
-def errors(told: Sequence[Banded], along: Along, joints: Sequence[str], unit: str) -> Panel:
+def errors(told: Sequence[ChartedProbe], along: Along, joints: Sequence[str], unit: str) -> Panel:
     """The champion's error on each probe, per joint."""
     rms = np.array([one.probe.features.rms for one in told])
     return joints_over("The champion's error", rms, along, joints, f"RMSE [{unit}]", log=True)
 
 
-def temperatures(told: Sequence[Banded], along: Along, joints: Sequence[str]) -> Panel:
+def temperatures(told: Sequence[ChartedProbe], along: Along, joints: Sequence[str]) -> Panel:
     """Mean temperature of each joint in each probe."""
     celsius = np.array([one.probe.features.temperature for one in told])[:, : 3 * len(joints) : 3]
     return joints_over("Joint temperatures", celsius, along, joints, "temperature [°C]")
@@ -407,7 +420,7 @@ def joints_over(
     return along.panel(title, y_title, curves, y_axis=axis, alt=alt, wide=True)
 
 
-def panel_title(told: Sequence[Banded], k: int) -> str:
+def panel_title(told: Sequence[ChartedProbe], k: int) -> str:
     """`J2 shoulder_lift_joint`, or what of the load."""
     where, what = told[0].probe.features.names[k].rsplit(" ", 1)
     return f"load, {what}" if where == "load" else joint_title(k // 3, where)
@@ -421,7 +434,7 @@ def unit_of(name: str, effort_unit: str) -> str:
     return effort_unit if what == "offset" else "kg" if what == "mass" else "kg·m"
 
 
-def _shown(told: Sequence[Banded], k: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _shown(told: Sequence[ChartedProbe], k: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Values, what was expected, and the limits of feature `k`, (P,) each, as they are shown."""
     scale = 100.0 if told[0].probe.features.names[k].rsplit(" ", 1)[1] in SHARES else 1.0
     rows = [(one.probe.features.values[k], one.expected[k], one.chart.limit[k]) for one in told]
@@ -429,14 +442,14 @@ def _shown(told: Sequence[Banded], k: int) -> tuple[FloatArray, FloatArray, Floa
     return values, expected, limit
 
 
-def _blamed(told: Sequence[Banded], name: str) -> list[bool]:
+def _blamed(told: Sequence[ChartedProbe], name: str) -> list[bool]:
     """Which probes name a feature, or the load it belongs to, as changed."""
     wanted = "load" if name.startswith("load ") else name
     return [any(cause.name == wanted for cause in one.probe.causes) for one in told]
 
 
 def _marks(
-    told: Sequence[Banded],
+    told: Sequence[ChartedProbe],
     values: FloatArray,
     along: Along,
     changed: Sequence[bool],
@@ -457,7 +470,7 @@ def _marks(
 
 
 def _range(
-    told: Sequence[Banded], values: FloatArray, expected: FloatArray, limit: FloatArray
+    told: Sequence[ChartedProbe], values: FloatArray, expected: FloatArray, limit: FloatArray
 ) -> tuple[float, float]:
     """Of y: all probes, and the limits that enough probes have told."""
     known = np.array([one.chart.reference >= FEWEST for one in told])

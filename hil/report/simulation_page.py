@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from hil.core import FloatArray, read_json, require_known_version
-from hil.models import REFERENCE, Banded, Entry, Registry, banded
+from hil.models import REFERENCE, ChartedProbe, Entry, Registry, charted_probes
 from hil.report import colours
 from hil.report.drift_page import Along, champion_changes, drift_sections, effort_unit, joints_over
 from hil.report.page import (
@@ -59,7 +59,7 @@ def simulation_page(folder: Path) -> Page:
     told = read_json(folder / "simulation.json")
     require_known_version(folder / "simulation.json", told, "hil_simulation", 1)
     registry, model = Registry(folder / "registry"), str(told["model"])
-    probes, along = _in_weeks(banded(registry, model), told)
+    probes, along = _in_weeks(charted_probes(registry, model), told)
     unit = effort_unit(registry, model)
     what = found(told)
     return Page(
@@ -81,7 +81,7 @@ def simulation_page(folder: Path) -> Page:
     )
 
 
-def _in_weeks(told: Sequence[Banded], document: Document) -> tuple[list[Banded], Along]:
+def _in_weeks(told: Sequence[ChartedProbe], document: Document) -> tuple[list[ChartedProbe], Along]:
     """Probes with the week they were due in."""
     weeks = {
         each["result"]["drift"]["uid"]: float(each["week"])
