@@ -24,7 +24,7 @@ import numpy as np
 from pipeline_parts import SCHEDULE, occasion, write_schedule
 
 from hil.maintenance.binding import bind
-from hil.maintenance.ledger import Occasion, kept
+from hil.maintenance.ledger import Occasion, open_ledger
 from hil.maintenance.reidentifying import reidentification
 from hil.maintenance.scheduler import Scheduler, VirtualClock
 from hil.maintenance.simulation import with_options
@@ -79,7 +79,7 @@ def do(folder: Path, due: Occasion) -> None:
     spec = load_schedule_spec(folder / "weekly.yaml")
     registry, runs = Registry(folder / "registry"), folder / "runs"
     work = reidentification(spec, registry=registry, runs=runs, adapt=adapt)
-    with kept(folder, spec.name) as ledger:
+    with open_ledger(folder, spec.name) as ledger:
         loop = Scheduler(spec, ledger, work, VirtualClock(due.due))
         loop.run_due()
         if loop.failure is not None:

@@ -17,7 +17,7 @@ from typing import Any
 
 from schedule_parts import MONDAY, schedule
 
-from hil.maintenance.ledger import Occasion, kept
+from hil.maintenance.ledger import Occasion, open_ledger
 from hil.maintenance.scheduler import Scheduler
 
 QUICKER = 3000.0
@@ -66,7 +66,7 @@ def main() -> None:
         return {"outcome": "quiet", "text": "done"}
 
     end = MONDAY + timedelta(minutes=float(sys.argv[4])) if len(sys.argv) > 4 else None
-    with kept(state, SPEC.name) as ledger:
+    with open_ledger(state, SPEC.name) as ledger:
         sys.stdout.write("ready\n")
         sys.stdout.flush()
         Scheduler(SPEC, ledger, work, clock).run(end)

@@ -342,8 +342,7 @@ def test_a_disarmed_schedule_does_not_go_on_with_a_run_that_was_cut_off(
     confirm = require_armed(bound.moves(folder / "weekly.yaml"), state)
     assert confirm is not None
     monkeypatch.setattr(reidentifying, "run_of", lambda *told: folder / "cut-off")
-    monkeypatch.setattr(reidentifying, "_is_done", lambda run: False)
-    monkeypatch.setattr(reidentifying, "_require_harmless", lambda run: None)
+    monkeypatch.setattr(reidentifying, "_require_harmless_end", lambda run: None)
     (state / ARMED_FILE).unlink()
     with pytest.raises(NotConfirmed, match="is not armed"):
         reidentifying.Measuring(folder / "runs", confirm=confirm).measure(bound.campaign, "weekly")

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 import hil
 from hil.cli.app import app
 from hil.core.errors import DataError, SpecError
-from hil.maintenance.ledger import Occasion, kept
+from hil.maintenance.ledger import Occasion, open_ledger
 from hil.maintenance.stages import Stage, run_stages
 
 
@@ -45,7 +45,7 @@ def test_it_is_done_once_and_gone_on_with_where_it_was_cut_off(
 def test_two_at_once_do_not_go_on_with_the_same(tmp_path: Path) -> None:
     file, state = write_schedule(tmp_path), tmp_path / "state"
     command = ["reidentify", str(file), "--state", str(state), "--runs", str(tmp_path / "runs")]
-    with kept(state / "by-hand", "weekly"):
+    with open_ledger(state / "by-hand", "weekly"):
         told = CliRunner().invoke(app, command)
     assert isinstance(told.exception, DataError)
     assert "is run by" in str(told.exception)
@@ -101,7 +101,7 @@ def test_a_schedule_that_is_held_is_not_run(
 ) -> None:
     write_schedule(tmp_path)
     monkeypatch.chdir(tmp_path)
-    with kept(Path("schedules/weekly"), "weekly") as ledger:
+    with open_ledger(Path("schedules/weekly"), "weekly") as ledger:
         ledger.start("weekly", datetime.now(UTC))
         ledger.add("held", datetime.now(UTC), why="tool change", by="root")
     told = CliRunner().invoke(app, ["reidentify", "weekly.yaml"])

@@ -25,7 +25,7 @@ import hil.workflow.preview
 from hil.cli.app import app
 from hil.core.errors import FitError, HilError, InterlockTripped
 from hil.maintenance.dry_run import motions
-from hil.maintenance.ledger import Ledger, Occasion, kept
+from hil.maintenance.ledger import Ledger, Occasion, open_ledger
 from hil.planning.experiment import Experiment
 from hil.planning.experiment import load as load_experiment
 from hil.spec.schedule import load_schedule_spec
@@ -165,7 +165,7 @@ def test_of_a_dense_plan_the_first_of_each_kind_are_shown() -> None:
 
 
 def test_a_plan_says_what_would_be_done_about_what_was_missed() -> None:
-    with kept(Path("schedules/nightly"), "nightly") as ledger:
+    with open_ledger(Path("schedules/nightly"), "nightly") as ledger:
         ledger.start("nightly", at("01 00:00"))
         due = at("02 02:00")
         ledger.add("begun", due, occasion="20261102T020000Z-probe", until=due.isoformat())
@@ -201,7 +201,7 @@ def test_mistakes_are_told(words: tuple[str, ...], keys: str, told: str) -> None
 
 
 def test_the_state_of_another_schedule_is_refused() -> None:
-    with kept(Path("there"), "weekly") as ledger:
+    with open_ledger(Path("there"), "weekly") as ledger:
         ledger.start("weekly", at("01 00:00"))
     for verb in ("plan", "show"):
         _, _, error = hil_schedule(verb, "nightly.yaml", "--state", "there")
@@ -209,7 +209,7 @@ def test_the_state_of_another_schedule_is_refused() -> None:
 
 
 def test_a_schedule_that_runs_says_so_and_is_not_run_twice() -> None:
-    with kept(Path("schedules/nightly"), "nightly"):
+    with open_ledger(Path("schedules/nightly"), "nightly"):
         _, told, _ = hil_schedule("show", "nightly.yaml", "--json")
         assert json.loads(told)["run_by"].startswith("pid ")
         _, _, error = hil_schedule("run", "nightly.yaml", "--once")
@@ -219,7 +219,7 @@ def test_a_schedule_that_runs_says_so_and_is_not_run_twice() -> None:
 def test_times_are_those_of_the_schedules_zone() -> None:
     zone = ZoneInfo("Asia/Kolkata")
     write("nightly.yaml", SCHEDULE.format(every="1d").replace("Europe/Berlin", zone.key))
-    with kept(Path("schedules/nightly"), "nightly") as ledger:
+    with open_ledger(Path("schedules/nightly"), "nightly") as ledger:
         ledger.start("nightly", datetime.now(UTC))
         before = datetime.now(zone)
         _, told, _ = hil_schedule("show", "nightly.yaml")
@@ -277,7 +277,7 @@ def test_a_trip_is_shown_until_it_is_released(monkeypatch: pytest.MonkeyPatch) -
 def test_a_person_holds_it_and_has_to_say_why() -> None:
     _, _, error = hil_schedule("hold", "nightly.yaml", "--reason", "tool change")
     assert "nightly has never been started" in str(error)
-    with kept(Path("schedules/nightly"), "nightly") as ledger:
+    with open_ledger(Path("schedules/nightly"), "nightly") as ledger:
         ledger.start("nightly", datetime.now(UTC) - timedelta(hours=36))
         assert hil_schedule("hold", "nightly.yaml")[0] == 2
         code, told, _ = hil_schedule("hold", "nightly.yaml", "--reason", "tool change")
@@ -293,7 +293,7 @@ def test_what_is_next_is_not_what_is_settled() -> None:
         return datetime.fromisoformat(json.loads(told[0])["next"]), told[1]
 
     now = datetime.now(UTC)
-    with kept(Path("schedules/nightly"), "nightly") as ledger:
+    with open_ledger(Path("schedules/nightly"), "nightly") as ledger:
         ledger.start("nightly", now)
         ledger.add("unnotified", now, until=(now + timedelta(hours=20)).isoformat(), why="")
         assert shown()[0] > now + timedelta(hours=20)

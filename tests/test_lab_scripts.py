@@ -20,7 +20,7 @@ from typer.testing import CliRunner, Result
 
 import hil
 from hil.core import errors
-from hil.maintenance.ledger import kept
+from hil.maintenance.ledger import open_ledger
 
 ROOT = Path(__file__).parents[1]
 SCRIPTS = ROOT / "experiments" / "scripts"
@@ -63,7 +63,7 @@ def test_weekly_makes_the_first_model_champion_and_then_sees_no_change(tmp_path:
 
 def test_weekly_keeps_its_state_where_hil_does(tmp_path: Path) -> None:
     schedule = write_schedule(tmp_path / "specs").rename(tmp_path / "specs" / "of-ur5.yaml")
-    with kept(tmp_path / "schedules" / "weekly" / "by-hand", "weekly"):
+    with open_ledger(tmp_path / "schedules" / "weekly" / "by-hand", "weekly"):
         result = ended("weekly_reidentification", schedule, "--home", tmp_path)
     assert result.exit_code == 8, result.output
     assert "is run by" in result.stdout

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from hil.core.errors import DataError, RecordingError
-from hil.maintenance.stages import FOLDER, Document, Stage, kept_document, run_stages
+from hil.maintenance.stages import FOLDER, Document, Stage, stored_result, run_stages
 
 pytestmark = pytest.mark.quick
 
@@ -46,7 +46,7 @@ def test_stages_are_done_in_the_order_of_needs_and_see_what_they_need(work, tmp_
     told = run_stages(work.stages(), tmp_path)
     assert work.done == ["a", "b", "c"]
     assert told["c"] == {"name": "c", "before": {"b": "b"}}
-    assert kept_document(tmp_path, "c") == told["c"]
+    assert stored_result(tmp_path, "c") == told["c"]
 
 
 def test_what_is_done_is_not_done_again(work, tmp_path) -> None:
@@ -82,7 +82,7 @@ def test_a_damaged_document_is_made_anew(work, tmp_path, damage) -> None:
     changed = text.replace('"name": "b"', '"name": "x"')
     damaged = {"torn": text[:-20], "changed": changed, "no JSON": "[]"}
     path.write_text(damaged[damage], "utf-8")
-    assert kept_document(tmp_path, "b") is None
+    assert stored_result(tmp_path, "b") is None
     assert run_stages(work.stages(), tmp_path) == told
     # It comes to the same, so that nothing after it is touched.
     assert work.done == ["a", "b", "c", "b"]

@@ -19,7 +19,7 @@ from hil.core.errors import (
     Stopped,
 )
 from hil.maintenance.dry_run import Motions, forecast
-from hil.maintenance.ledger import LEDGER_FILE, Ledger, hold, kept, release
+from hil.maintenance.ledger import LEDGER_FILE, Ledger, hold, open_ledger, release
 
 MON, TUE, WED = (f"202611{day}T030000Z-probe" for day in (23, 24, 25))
 HOURLY = {"spec": "p", "every": "1h"}
@@ -38,12 +38,12 @@ HOURLY = {"spec": "p", "every": "1h"}
 )
 def test_the_arm_moves_once_and_then_waits_for_a_person(tmp_path: Path, error: Exception) -> None:
     told: list[Any] = []
-    with kept(tmp_path, "nightly") as ledger:
+    with open_ledger(tmp_path, "nightly") as ledger:
         loop, worker, _ = scheduler(schedule(probe=HOURLY), ledger=ledger)
         loop.notify = lambda line: told.append(line) or ""
         worker.then = [raising(error)] * 24
         loop.run(at("24 00:00"))
-    with kept(tmp_path, "nightly") as ledger:  # a restart does not let it go on
+    with open_ledger(tmp_path, "nightly") as ledger:  # a restart does not let it go on
         loop, again, _ = scheduler(schedule(probe=HOURLY), at("24 00:00"), ledger)
         loop.run(at("25 00:00"))
     assert (len(worker.done), again.done) == (1, [])
@@ -68,7 +68,7 @@ def test_once_released_it_goes_on_with_the_latest_that_waited() -> None:
 
 
 def test_somebody_else_holds_and_releases_it_while_it_runs(tmp_path: Path) -> None:
-    with kept(tmp_path, "nightly") as ledger:
+    with open_ledger(tmp_path, "nightly") as ledger:
         loop, worker, clock = scheduler(schedule(), ledger=ledger)
         loop.run(at("23 02:00"))
         hold(Ledger.read(tmp_path), clock.now(), "tool change")
@@ -82,7 +82,7 @@ def test_somebody_else_holds_and_releases_it_while_it_runs(tmp_path: Path) -> No
 
 
 def test_what_is_held_while_the_robot_is_waited_for_is_not_begun(tmp_path: Path) -> None:
-    with kept(tmp_path, "nightly") as ledger:
+    with open_ledger(tmp_path, "nightly") as ledger:
         loop, worker, clock = scheduler(schedule(), ledger=ledger)
 
         def ready() -> str:
@@ -139,7 +139,7 @@ def test_a_clock_that_was_years_ahead_holds_it_until_somebody_says_from_when(
 ) -> None:
     told: list[Any] = []
     years = timedelta(days=3650)
-    with kept(tmp_path, "nightly") as ledger:
+    with open_ledger(tmp_path, "nightly") as ledger:
         loop, worker, clock = scheduler(schedule(), at("23 04:00") + years, ledger)
         loop.run_due()
         loop.run(clock.now() + 24 * HOUR)
@@ -170,7 +170,7 @@ def test_a_clock_ahead_for_a_while_changes_nothing_of_when_intervals_count_from(
 
 
 def test_lines_of_several_processes_follow_each_other(tmp_path: Path) -> None:
-    with kept(tmp_path, "nightly") as mine:
+    with open_ledger(tmp_path, "nightly") as mine:
         mine.start("nightly", at("23 00:00"))
         others = Ledger.read(tmp_path)
         for _ in range(3):

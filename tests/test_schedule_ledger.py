@@ -10,13 +10,13 @@ import pytest
 from schedule_parts import MONDAY, at
 
 from hil.core.errors import DataError, RecordingError
-from hil.maintenance.ledger import LEDGER_FILE, Ledger, Occasion, kept, occasion_of
+from hil.maintenance.ledger import LEDGER_FILE, Ledger, Occasion, occasion_of, open_ledger
 
 pytestmark = pytest.mark.quick
 
 
 def three_lines(folder: Path) -> Path:
-    with kept(folder, "nightly") as ledger:
+    with open_ledger(folder, "nightly") as ledger:
         ledger.start("nightly", MONDAY)
         ledger.add("begun", MONDAY, occasion="20261123T000000Z-probe", until=MONDAY.isoformat())
         ledger.add("done", MONDAY, occasion="20261123T000000Z-probe", result={"text": "well"})
@@ -32,7 +32,7 @@ def test_it_is_read_as_it_was_written(tmp_path: Path) -> None:
 
 
 def test_what_work_says_may_be_anything_that_json_has_a_word_for(tmp_path: Path) -> None:
-    with kept(tmp_path, "nightly") as ledger:
+    with open_ledger(tmp_path, "nightly") as ledger:
         ledger.start("nightly", MONDAY)
         odd = {"rmse": float("nan"), "text": "\udc80 Größe", "run": tmp_path, "of": (1, 2)}
         line = ledger.add("failed", MONDAY, occasion="20261123T000000Z-probe", result=odd)
@@ -44,7 +44,7 @@ def test_what_work_says_may_be_anything_that_json_has_a_word_for(tmp_path: Path)
 def test_a_torn_line_is_none_and_is_written_over(tmp_path: Path) -> None:
     path = three_lines(tmp_path)
     path.write_bytes(path.read_bytes()[:-7])
-    with kept(tmp_path, "nightly") as ledger:
+    with open_ledger(tmp_path, "nightly") as ledger:
         assert ledger.standing.begun
         ledger.add("failed", MONDAY, occasion="20261123T000000Z-probe", why="", kind="", hint="")
     assert [line["event"] for line in Ledger.read(tmp_path).lines] == ["started", "begun", "failed"]
@@ -68,23 +68,32 @@ def test_what_was_changed_is_found(tmp_path: Path, change: object, told: str) ->
 
 
 def test_one_process_keeps_it(tmp_path: Path) -> None:
-    with kept(tmp_path, "nightly"):
-        with pytest.raises(DataError, match="is run by pid") as error, kept(tmp_path, "nightly"):
+    with open_ledger(tmp_path, "nightly"):
+        with (
+            pytest.raises(DataError, match="is run by pid") as error,
+            open_ledger(tmp_path, "nightly"),
+        ):
             pass
         assert "hil schedule show" in error.value.hint
-    with kept(tmp_path, "nightly"):
+    with open_ledger(tmp_path, "nightly"):
         pass
 
 
 def test_it_is_of_one_schedule(tmp_path: Path) -> None:
     three_lines(tmp_path)
-    with kept(tmp_path, "weekly") as ledger, pytest.raises(DataError, match="'nightly', not of"):
+    with (
+        open_ledger(tmp_path, "weekly") as ledger,
+        pytest.raises(DataError, match="'nightly', not of"),
+    ):
         ledger.start("weekly", MONDAY)
 
 
 def test_a_folder_that_cannot_be_made_is_told(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(RecordingError, match="cannot make"), kept(tmp_path / "file" / "a", "n"):
+    with (
+        pytest.raises(RecordingError, match="cannot make"),
+        open_ledger(tmp_path / "file" / "a", "n"),
+    ):
         pass
 
 

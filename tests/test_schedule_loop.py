@@ -24,7 +24,7 @@ from schedule_parts import (
 )
 
 from hil.core.errors import FitError, RobotConnectionError, Stopped
-from hil.maintenance.ledger import Ledger, kept
+from hil.maintenance.ledger import Ledger, open_ledger
 from hil.maintenance.scheduler import Interruption
 
 pytestmark = pytest.mark.quick
@@ -76,7 +76,7 @@ def test_what_was_started_within_the_minute_is_due(tmp_path: Path) -> None:
 
 def test_a_restart_repeats_nothing(tmp_path: Path) -> None:
     for hour in range(0, 60, 7):
-        with kept(tmp_path, "nightly") as ledger:
+        with open_ledger(tmp_path, "nightly") as ledger:
             loop, _, _ = scheduler(schedule(), MONDAY + hour * HOUR, ledger)
             loop.run(MONDAY + (hour + 7) * HOUR)
     done = [which for event, which in events(Ledger.read(tmp_path)) if event == "done"]

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from hil.core.errors import RobotConnectionError, RobotFault, Stopped
-from hil.maintenance.scheduler import Interruption, RobotReady, curfew
+from hil.maintenance.scheduler import Interruption, RobotReady, interrupt_at
 from hil.planning import robots
 from hil.planning.experiment import load as load_experiment
 from hil.robot import Finding, Status, state_dtype
@@ -125,7 +125,7 @@ def soon(seconds: float) -> datetime:
 
 def test_a_blackout_interrupts_what_is_done() -> None:
     begin = time.monotonic()
-    with pytest.raises(Interruption), curfew(soon(0.2)):
+    with pytest.raises(Interruption), interrupt_at(soon(0.2)):
         time.sleep(20)
     assert time.monotonic() - begin < 5
 
@@ -139,21 +139,21 @@ def test_a_run_that_was_stopped_for_it_is_interrupted() -> None:
             time.sleep(0.01)
         raise Stopped("stopped by SIGTERM", by_signal=True)
 
-    with pytest.raises(Interruption), curfew(soon(0.1)):
+    with pytest.raises(Interruption), interrupt_at(soon(0.1)):
         run()
 
 
 def test_what_ends_before_it_ends_as_it_does() -> None:
-    with curfew(soon(60)):
+    with interrupt_at(soon(60)):
         pass
-    with curfew(None):
+    with interrupt_at(None):
         pass
-    with pytest.raises(Stopped), curfew(soon(60)):
+    with pytest.raises(Stopped), interrupt_at(soon(60)):
         raise Stopped("by hand", by_signal=True)
 
 
 def test_sigterm_means_again_what_it_meant() -> None:
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    with curfew(soon(60)):
+    with interrupt_at(soon(60)):
         assert signal.getsignal(signal.SIGTERM) is signal.default_int_handler
     assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL

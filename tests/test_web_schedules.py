@@ -19,7 +19,7 @@ from web_parts import SLY, dashboard, plain, seen
 from hil.core.errors import FitError
 from hil.dashboard.schedules import due_next
 from hil.dashboard.settings import Settings
-from hil.maintenance.ledger import LEDGER_FILE, Ledger, kept
+from hil.maintenance.ledger import LEDGER_FILE, Ledger, open_ledger
 from hil.spec.schedule import load_schedule_spec
 
 # Nights to come, whatever day it is: none of the three that are over was kept from its probe.
@@ -43,7 +43,7 @@ def lab(tmp_path: Path) -> Path:
     write_run(tmp_path / "runs", 7)
     spec = load_schedule_spec(specs / "deeper" / "nightly.yaml")
     now = datetime.now(UTC)
-    with kept(tmp_path / "schedules" / "nightly", "nightly") as ledger:
+    with open_ledger(tmp_path / "schedules" / "nightly", "nightly") as ledger:
         loop, worker, _ = scheduler(spec, now - timedelta(days=3), ledger)
         worker.then = [lambda: None, raising(FitError(f"no motion {SLY}")), lambda: None]
         loop.run(now)
@@ -187,7 +187,7 @@ def test_what_is_coming_is_told_soonest_first(lab: Path) -> None:
     assert found[0]["due"] > datetime.now(UTC)
     assert (found[0]["held"], found[0]["run_by"]) == ("", "")
     assert found[0]["when"].endswith("03:00 (Europe/Berlin)")
-    with kept(lab / "schedules" / "nightly", "nightly") as ledger:
+    with open_ledger(lab / "schedules" / "nightly", "nightly") as ledger:
         ledger.add("held", datetime.now(UTC), why="oil", by="ada")
         held = due_next(settings(lab))[0]
     assert held["held"] == "oil"

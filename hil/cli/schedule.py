@@ -63,9 +63,9 @@ def run(
         Scheduler,
         WallClock,
         bind_file,
-        curfew,
-        kept,
+        interrupt_at,
         motions,
+        open_ledger,
         reidentification,
         require_room,
     )
@@ -85,12 +85,12 @@ def run(
         tell=_tell_stage,
     )  # fmt: skip
     zone, wait_s = _zone(spec), spec.wait_for_robot.total_seconds()
-    with kept(_state(spec, state), spec.name) as ledger, WallClock() as clock:
+    with open_ledger(_state(spec, state), spec.name) as ledger, WallClock() as clock:
         scheduler = Scheduler(
             spec, ledger, work, clock,
             lasting=took.longest,
             ready=RobotReady(bound.campaign, wait_s, _tell_stage),
-            guard=curfew,
+            guard=interrupt_at,
             tell=lambda line: say(words(line, zone)),
             notify=Command(spec.notify, spec.name),
         )  # fmt: skip
@@ -189,7 +189,7 @@ def plan(
 def show(file: FileArgument, state: StateOption = None, json: JsonFlag = False) -> None:
     """What was done, and what was not and why; what is due next."""
     from hil.core import LOCK, holder_of
-    from hil.maintenance import ahead
+    from hil.maintenance import clock_problem
     from hil.workflow import read_armed
 
     spec, folder, ledger = _led(file, state)
@@ -210,7 +210,7 @@ def show(file: FileArgument, state: StateOption = None, json: JsonFlag = False) 
         say(f"{spec.name} has never been started: hil schedule run {file}")
         return
     print_ledger(ledger.lines, zone)
-    if standing.held or (wrong := ahead(standing, now)):
+    if standing.held or (wrong := clock_problem(standing, now)):
         say(held_words(standing.held, file, zone) if standing.held else wrong)
     else:
         say(next_words(coming, zone))
@@ -235,7 +235,7 @@ def release(file: FileArgument, reason: ReasonOption, state: StateOption = None)
     spec, _, ledger = _begun(file, state)
     zone, now = _zone(spec), datetime.now(UTC)
     say(words(release_ledger(ledger, now, reason), zone))
-    if (waits := choose(spec, ledger.standing, now).chosen) is not None:
+    if (waits := choose(spec, ledger.standing, now).occasion) is not None:
         say(f"{waits.id} has waited: whoever runs the schedule begins it within a minute")
     else:
         say(next_words(_coming(spec, ledger, now), zone))

@@ -47,7 +47,7 @@ from hil.maintenance import (
     Ledger,
     Line,
     Motions,
-    ahead,
+    clock_problem,
     forecast,
     hold,
     occasion_of,
@@ -182,7 +182,7 @@ class Schedule:
         standing = self.ledger.standing
         if standing.held is not None:
             return str(standing.held.get("why") or "no reason was given")
-        return ahead(standing, datetime.now(UTC))
+        return clock_problem(standing, datetime.now(UTC))
 
     @property
     def run_by(self) -> str:

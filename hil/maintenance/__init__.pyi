@@ -18,10 +18,10 @@ from .fleet_specs import spec_for as spec_for
 from .ledger import LEDGER_FILE as LEDGER_FILE
 from .ledger import Ledger as Ledger
 from .ledger import Line as Line
-from .ledger import ahead as ahead
+from .ledger import clock_problem as clock_problem
 from .ledger import hold as hold
-from .ledger import kept as kept
 from .ledger import occasion_of as occasion_of
+from .ledger import open_ledger as open_ledger
 from .ledger import release as release
 from .reidentifying import reidentification as reidentification
 from .reidentifying import reidentify as reidentify
@@ -29,7 +29,7 @@ from .scheduler import Command as Command
 from .scheduler import RobotReady as RobotReady
 from .scheduler import Scheduler as Scheduler
 from .scheduler import WallClock as WallClock
-from .scheduler import curfew as curfew
+from .scheduler import interrupt_at as interrupt_at
 from .simulation import require_mock as require_mock
 from .simulation import simulate as simulate
 from .systemd import next_words as next_words

@@ -1,4 +1,9 @@
-"""A schedule with the experiments it names, checked: what could only fail at night fails now."""
+"""A schedule bound to the experiments it names, and checked against them.
+
+A schedule runs unattended. What would fail only at night, after all the motion, is found here: no
+model to challenge with, too little data to compare two models on, a probe that says too little, or
+a prompt that nobody would answer (`mismatches`).
+"""
 
 from __future__ import annotations
 
@@ -8,7 +13,6 @@ from math import gcd
 from pathlib import Path
 
 from hil.core import KeyPath, PluginError, Problem, Source, SpecError, dotted, read_source
-from hil.core import KeyPath as SourcePath
 from hil.estimators import HONEST, estimator
 from hil.models import BLOCK_S, DRIFT_BLOCK_S, FEWEST_BLOCKS, FEWEST_DRIFT_BLOCKS
 from hil.planning import Experiment
@@ -24,7 +28,7 @@ class Bound:
     Attributes:
         spec: What the file says.
         name: Of the models in the registry.
-        probe: None where there is none.
+        probe: The short program; None without one.
         campaign: The full program.
         fit: Entry of the campaign's spec whose model challenges the champion.
     """
@@ -43,12 +47,12 @@ class Bound:
 
     @property
     def experiments(self) -> tuple[Experiment, ...]:
-        """Those there are."""
+        """The experiments of the schedule."""
         return (self.campaign,) if self.probe is None else (self.probe, self.campaign)
 
 
 def bind(spec: ScheduleSpec, station: Path | None = None, source: Source | None = None) -> Bound:
-    """Load what a schedule names, and check that it fits together.
+    """Load what a schedule names, check that it fits together, and return it.
 
     Args:
         spec: From `load_schedule_spec`.
@@ -70,12 +74,12 @@ def bind(spec: ScheduleSpec, station: Path | None = None, source: Source | None 
             problems += error.message.splitlines()
             hint = hint or error.hint
     if "campaign" in loaded:
-        found = mismatches(spec, loaded["campaign"], loaded.get("probe"))
-        problems += [_line(source, place, message) for place, message in found]
+        findings = mismatches(spec, loaded["campaign"], loaded.get("probe"))
+        problems += [_line(source, place, message) for place, message in findings]
     if problems:
         raise SpecError("\n".join(dict.fromkeys(problems)), hint=hint)
     campaign = loaded["campaign"]
-    fit = next(wanted(spec, campaign.spec))
+    fit = next(challenging_fits(spec, campaign.spec))
     name = spec.model or campaign.spec.robot
     return Bound(spec, name, loaded.get("probe"), campaign, fit)
 
@@ -87,7 +91,7 @@ def _line(source: Source | None, place: KeyPath, message: str) -> str:
 
 
 def bind_file(file: Path | Source, station: Path | None = None) -> Bound:
-    """A schedule's file bound to all that it names, drivers included.
+    """Return the schedule of a file, bound to all that it names and checked, drivers included.
 
     Args:
         file: The schedule (YAML), or what was read from it.
@@ -106,27 +110,27 @@ def bind_file(file: Path | Source, station: Path | None = None) -> Bound:
     return bound
 
 
-Finding = tuple[SourcePath, str]
+Finding = tuple[KeyPath, str]
 """Where in the schedule, and what is wrong there."""
 
 
 def mismatches(
     spec: ScheduleSpec, campaign: Experiment, probe: Experiment | None
 ) -> Iterator[Finding]:
-    """Where in a schedule something is wrong, and what.
+    """Yield what is wrong with a schedule, and where.
 
     Args:
         spec: The schedule.
         campaign: The full program that it names.
         probe: The short one, if it names one.
     """
-    yield from _of_the_model(spec, campaign.spec, probed=probe is not None)
-    yield from _compares_enough(campaign.spec, None if probe is None else probe.spec)
-    yield from _needs_somebody("campaign", campaign)
+    yield from _without_challenger(spec, campaign.spec, probed=probe is not None)
+    yield from _too_short_to_compare(campaign.spec, None if probe is None else probe.spec)
+    yield from _needs_operator("campaign", campaign)
     if probe is None:
         return
-    yield from _needs_somebody("probe", probe)
-    yield from _says_enough(probe.spec)
+    yield from _needs_operator("probe", probe)
+    yield from _too_short_for_drift(probe.spec)
     robots = probe.spec.robot, campaign.spec.robot
     if robots[0] != robots[1] or probe.robot != campaign.robot:
         yield (
@@ -148,39 +152,52 @@ def mismatches(
         )
 
 
-def _of_the_model(
+def _without_challenger(
     spec: ScheduleSpec, campaign: ExperimentSpec, *, probed: bool
 ) -> Iterator[Finding]:
-    """What keeps the campaign from having the one model that challenges."""
+    """Yield what keeps the campaign from having just one model that may challenge."""
     names = [fit.estimator for fit in campaign.fit]
     named = spec.campaign.estimator
     if not names:
         yield ("campaign", "spec"), f"{campaign.name} has no `fit`: there would be no model"
         return
     if named and named not in names:
-        told = f"{campaign.name} fits {', '.join(names)}, not {named!r}"
-        yield ("campaign", "estimator"), told
+        message = f"{campaign.name} fits {', '.join(names)}, not {named!r}"
+        yield ("campaign", "estimator"), message
         return
-    fits = list(wanted(spec, campaign))
+    fits = list(challenging_fits(spec, campaign))
     if len(fits) > 1:
-        told = f"{campaign.name} fits {fits[0].estimator} {len(fits)} times: keep one"
-        yield ("campaign", "spec"), told
+        message = f"{campaign.name} fits {fits[0].estimator} {len(fits)} times: keep one"
+        yield ("campaign", "spec"), message
     model = estimator(fits[0].estimator, **fits[0].parameters)
     protocol = getattr(model, "protocol", HONEST)  # some know it only when they are fitted
     if protocol != HONEST:
         yield ("campaign", "estimator"), not_honest(fits[0].estimator, protocol)
     elif probed and not model.tells_friction:
-        told = f"{fits[0].estimator} does not tell friction apart: no probe says what has changed"
-        yield ("campaign", "estimator"), f"{told}; name another, or leave the probe out"
+        why = f"{fits[0].estimator} does not tell friction apart: no probe says what has changed"
+        yield ("campaign", "estimator"), f"{why}; name another, or leave the probe out"
 
 
-def _compares_enough(campaign: ExperimentSpec, probe: ExperimentSpec | None) -> Iterator[Finding]:
-    """What keeps a challenger from ever being compared: found at night, after all the motion."""
+def challenging_fits(spec: ScheduleSpec, campaign: ExperimentSpec) -> Iterator[Fit]:
+    """Return the campaign's fits whose model challenges; just one if nothing is wrong."""
+    name = spec.campaign.estimator or campaign.fit[0].estimator
+    return (fit for fit in campaign.fit if fit.estimator == name)
+
+
+def not_honest(name: str, protocol: str) -> str:
+    """Return what is wrong with an estimator whose model is never judged."""
+    return f"the model of {name} is not honest and never judged ({protocol}): name another"
+
+
+def _too_short_to_compare(
+    campaign: ExperimentSpec, probe: ExperimentSpec | None
+) -> Iterator[Finding]:
+    """Yield what keeps champion and challenger from ever being compared: too few blocks."""
     program = campaign.excitation
     if not campaign.fit or not isinstance(program, Fourier):
         return
-    held = campaign.hold_out
-    motions = held.trajectories_of(program.trajectories)
+    # If whole loads are held out, no trajectory is: all of them are unseen under these loads.
+    motions = campaign.hold_out.trajectories_of(program.trajectories)
     count = _places(program, motions or program.trajectories)
     if probe is not None and isinstance(probe.excitation, Fourier):
         count += _places(probe.excitation, probe.excitation.trajectories)
@@ -195,31 +212,31 @@ def _compares_enough(campaign: ExperimentSpec, probe: ExperimentSpec | None) -> 
 
 
 def _places(program: Fourier, trajectories: int) -> int:
-    """Blocks of a comparison at different places: the next period comes by the same ones."""
+    """Return the number of blocks at different places: the next period comes by the same ones."""
     each_s = program.periods / program.fundamental_hz
     count = max(1, round(each_s / BLOCK_S))
     return trajectories * (count // gcd(count, program.periods))
 
 
-def _needs_somebody(part: str, experiment: Experiment) -> Iterator[Finding]:
-    """Prompts that only a person could answer; a mock on a virtual clock mounts by itself."""
-    asked = [load.prompt for load in experiment.spec.loads if load.prompt]
-    if not asked:
+def _needs_operator(part: str, experiment: Experiment) -> Iterator[Finding]:
+    """Yield a prompt that needs an operator; a mock on a virtual clock answers by itself."""
+    prompts = [load.prompt for load in experiment.spec.loads if load.prompt]
+    if not prompts:
         return
     try:
-        alone = check_driver(experiment).clock == "virtual"
+        answers_itself = check_driver(experiment).clock == "virtual"
     except (SpecError, PluginError):
-        return  # told where drivers are checked
-    if not alone:
+        return  # reported where drivers are checked
+    if not answers_itself:
         yield (
             (part, "spec"),
             f"{experiment.spec.name} asks for something to be done "
-            f"({asked[0]!r}), and nobody attends a schedule",
+            f"({prompts[0]!r}), and nobody attends a schedule",
         )
 
 
-def _says_enough(probe: ExperimentSpec) -> Iterator[Finding]:
-    """What keeps a probe from saying what has changed, as far as the spec tells."""
+def _too_short_for_drift(probe: ExperimentSpec) -> Iterator[Finding]:
+    """Yield what keeps a probe from saying what has changed: too few blocks."""
     program = probe.excitation
     if not isinstance(program, Fourier):
         return
@@ -234,15 +251,5 @@ def _says_enough(probe: ExperimentSpec) -> Iterator[Finding]:
 
 
 def _motion(spec: ExperimentSpec) -> dict[str, object]:
+    """Return what decides the poses and trajectories of a program, but for their number."""
     return spec.excitation.model_dump(exclude={"trajectories", "waypoints"})
-
-
-def not_honest(name: str, protocol: str) -> str:
-    """What is wrong with a model that is never judged."""
-    return f"the model of {name} is not honest and never judged ({protocol}): name another"
-
-
-def wanted(spec: ScheduleSpec, campaign: ExperimentSpec) -> Iterator[Fit]:
-    """The campaign's entries whose model challenges; one where nothing is wrong."""
-    name = spec.campaign.estimator or campaign.fit[0].estimator
-    return (fit for fit in campaign.fit if fit.estimator == name)

@@ -1,6 +1,6 @@
-"""What would happen when, by the loop itself on a clock that is put forward; nothing moves.
+"""Forecast of a schedule: the loop itself, on a clock that is put forward; nothing moves.
 
-How long each occasion moves the robot follows from the plans of what the schedule names.
+How long each occasion moves the robot follows from the plans of its experiments (`Motions`).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from zoneinfo import ZoneInfo
 
 from hil.core import SpecError, duration_text
 from hil.maintenance.due_times import begin_of, dues, next_free
-from hil.maintenance.ledger import Job, Ledger, Line, Occasion, ahead, occasion_of, release
+from hil.maintenance.ledger import Job, Ledger, Line, Occasion, clock_problem, occasion_of, release
 from hil.maintenance.scheduler import Scheduler, VirtualClock
 from hil.planning import Experiment
 from hil.spec import ScheduleSpec
@@ -23,17 +23,17 @@ from hil.workflow import preview_experiment
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """Something that would happen.
+    """An occasion that would be done or missed, or several of one kind.
 
     Attributes:
-        due: When it is due, UTC; of several that are left out, the first.
+        due: When it is due, UTC; of several, the first.
         job: `probe` or `campaign`.
         what: `done` or `missed`.
-        begins: When it would begin, None if it would not.
-        motion: How long it would move the robot, were nothing found.
-        why: Why it would not begin when it is due, or not at all; empty if it would.
-        count: How many are left out for that reason, or follow as regularly as those before.
-        again: Whether it was begun before, and is gone on with.
+        begins: When it would begin; None if it would not.
+        motion: How long it would move the robot if no change is found.
+        why: Why it would begin later than it is due, or not at all; empty otherwise.
+        count: Number of occasions: left out for the same reason, or as regular as those before.
+        again: Whether it was begun before, and is continued.
     """
 
     due: datetime
@@ -46,7 +46,7 @@ class Expected:
     again: bool = False
 
     def to_dict(self, zone: ZoneInfo) -> dict[str, Any]:
-        """An entry of `hil schedule plan --json`; times are of the schedule's zone."""
+        """Return an entry of `hil schedule plan --json`; times are of the schedule's zone."""
         return {
             "due": self.due.astimezone(zone).isoformat(timespec="seconds"),
             "job": self.job,
@@ -68,9 +68,9 @@ def forecast(
     *,
     alike: int | None = None,
 ) -> list[Expected]:
-    """What would happen if the schedule ran from now on, the robot were free and nothing found.
+    """Return what happens if the schedule runs from now on, the robot is free and has not changed.
 
-    One that is held is looked at as if it were released now.
+    A schedule that is held is treated as if it were released now.
 
     Args:
         spec: The schedule.
@@ -78,48 +78,50 @@ def forecast(
         motions: How long its programs move the robot.
         now: When it would be started.
         end: Of the time that is looked at.
-        alike: So many probes in a row are told one by one, and those that follow as regularly as
-            one entry: a probe every minute is 40320 in four weeks. By default all are.
+        alike: Number of probes in a row that get an entry each; those that follow as regularly are
+            one entry, as a probe every minute is 40,320 in four weeks. By default each gets one.
     """
     clock = VirtualClock(now)
-    imagined = Ledger(None, tuple(ledger.lines))
-    if imagined.standing.held is not None or ahead(imagined.standing, now):
-        release(imagined, now, "")
-    known = len(imagined.lines)
+    in_memory = Ledger(None, tuple(ledger.lines))
+    if in_memory.standing.held is not None or clock_problem(in_memory.standing, now):
+        release(in_memory, now, "")
+    known = len(in_memory.lines)
 
     def work(occasion: Occasion, folder: Path) -> Mapping[str, Any]:
         clock.advance(motions.expected(occasion.job))
         return {"outcome": "quiet", "text": ""}
 
-    scheduler = Scheduler(spec, imagined, work, clock, lasting=motions.longest)
-    if alike is None or not _is_regular(spec, motions):
-        scheduler.run(end)
-        return _told(imagined.lines[known:], motions)
-    assert spec.probe is not None
-    assert spec.probe.every is not None
-    while clock.now() < end:
-        scheduler.run(min(end, clock.now() + alike * spec.probe.every))
-        _skip(spec, scheduler, clock, end)
-    return _told(imagined.lines[known:], motions)
-
-
-def _is_regular(spec: ScheduleSpec, motions: Motions) -> bool:
-    """Whether probes between two campaigns are done one like the other, each when it is due."""
+    scheduler = Scheduler(spec, in_memory, work, clock, lasting=motions.longest)
     every = spec.probe.every if spec.probe else None
-    return every is not None and motions.probe < every and not spec.blackout
+    # Probes between two campaigns are alike if each is over before the next is due.
+    if alike is None or every is None or motions.probe >= every or spec.blackout:
+        scheduler.run(end)
+    else:
+        while clock.now() < end:
+            scheduler.run(min(end, clock.now() + alike * every))
+            _skip_regular_probes(spec, every, scheduler, clock, end)
+    return _expected(in_memory.lines[known:], motions)
 
 
 _REGULAR = "as regularly as those before"
 
 
-def _skip(spec: ScheduleSpec, scheduler: Scheduler, clock: VirtualClock, end: datetime) -> None:
-    """Go on to the last probe but one before the next campaign, or the end, noting how many."""
+def _skip_regular_probes(
+    spec: ScheduleSpec,
+    every: timedelta,
+    scheduler: Scheduler,
+    clock: VirtualClock,
+    end: datetime,
+) -> None:
+    """Put the clock forward to the last probe but one before the next campaign, or before the end.
+
+    The ledger gets one line for all the probes in between.
+    """
     standing, now = scheduler.ledger.standing, clock.now()
     assert standing.anchor is not None
     assert spec.probe is not None
-    assert spec.probe.every is not None
     assert standing.until is not None
-    start, every = begin_of(spec, standing.anchor), spec.probe.every
+    start = begin_of(spec, standing.anchor)
     campaign = next(dues(spec.campaign, spec.timezone, start, standing.until), end)
     first = next(dues(spec.probe, spec.timezone, start, standing.until))
     if standing.open is not None or min(first, campaign) <= now:
@@ -128,49 +130,51 @@ def _skip(spec: ScheduleSpec, scheduler: Scheduler, clock: VirtualClock, end: da
     if count < 1:
         return
     last = first + (count - 1) * every
-    told = {"since": Occasion(first, "probe").id, "occasion": Occasion(last, "probe").id}
-    # Nothing is left out; it only settles all of them at once.
-    scheduler.ledger.add("missed", now, **told, count=count, why=_REGULAR, until=last.isoformat())
+    which = {"since": Occasion(first, "probe").id, "occasion": Occasion(last, "probe").id}
+    # Nothing is missed: this event is the one that settles many occasions at once.
+    scheduler.ledger.add("missed", now, **which, count=count, why=_REGULAR, until=last.isoformat())
     clock.sleep_until(last)
 
 
-def _told(lines: list[Line], motions: Motions) -> list[Expected]:
-    found, waits = [], ""
+def _expected(lines: list[Line], motions: Motions) -> list[Expected]:
+    """Return what the lines of a ledger say that happens."""
+    expected: list[Expected] = []
+    waits = ""
     for line in lines:
         if line["event"] == "deferred":
             waits = line["why"]
         elif line["event"] == "missed":
-            first = occasion_of(line["since"])
+            first, count = occasion_of(line["since"]), line["count"]
             if line["why"] == _REGULAR:
-                long = motions.expected("probe")
-                regular = (first.due, "probe", "done", first.due, long, "", line["count"])
-                found.append(Expected(*regular))
-                continue
-            nothing = timedelta()
-            told = (first.due, first.job, "missed", None, nothing, line["why"], line["count"])
-            found.append(Expected(*told))
+                motion = motions.expected("probe")
+                entry = Expected(first.due, "probe", "done", first.due, motion, count=count)
+            else:
+                entry = Expected(
+                    first.due, first.job, "missed", None, timedelta(), line["why"], count
+                )
+            expected.append(entry)
         elif line["event"] == "begun":
             one, at = occasion_of(line["occasion"]), datetime.fromisoformat(line["at"])
-            long, again = motions.expected(one.job), bool(line.get("again"))
-            found.append(Expected(one.due, one.job, "done", at, long, waits, 1, again))
+            motion, again = motions.expected(one.job), bool(line.get("again"))
+            expected.append(Expected(one.due, one.job, "done", at, motion, waits, 1, again))
             waits = ""
-    return found
+    return expected
 
 
 ALLOWANCE = 1.1
-"""Share of a plan's time that settling and pauses of the controller may add to it."""
+"""Factor on the time of a plan, for settling and for pauses of the controller."""
 
 AROUND = timedelta(seconds=60)
-"""For connecting, preflight and the recording's end, a run."""
+"""Time per run for connecting, preflight and the end of the recording."""
 
 
 @dataclass(frozen=True, slots=True)
 class Motions:
-    """Motion of the programs of a schedule.
+    """How long the programs of a schedule move the robot.
 
     Attributes:
-        probe: Of the short program; zero without one.
-        campaign: Of the full program.
+        probe: Time of the short program; zero without one.
+        campaign: Time of the full program.
         on_drift: Whether a probe may lead to a campaign.
     """
 
@@ -179,11 +183,11 @@ class Motions:
     on_drift: bool = True
 
     def expected(self, job: Job) -> timedelta:
-        """With nothing found: the probe; or campaign and the probe after it."""
+        """Return the time of motion without a change; a campaign has a probe on either side."""
         return self.probe if job == "probe" else self.campaign + 2 * self.probe
 
     def longest(self, job: Job) -> timedelta:
-        """With all that may come of it, and what runs take beside motion."""
+        """Return the longest time of an occasion, with what runs take beside motion."""
         runs = [self.probe]
         if job == "campaign" or self.on_drift:
             runs += [self.campaign, self.probe]
@@ -191,7 +195,7 @@ class Motions:
 
 
 def motions(spec: ScheduleSpec, probe: Experiment | None, campaign: Experiment) -> Motions:
-    """Plan both programs, without connecting to anything.
+    """Plan both programs, without connecting to anything, and return how long they move the robot.
 
     Raises:
         PlanError: No safe plan follows from one of them.

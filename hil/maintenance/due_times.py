@@ -1,12 +1,12 @@
-"""What is due when, and which of it is done; pure functions of schedule, ledger and clock.
+"""Due times and blackouts, and the choice of what is done; pure functions of schedule and ledger.
 
-Times of day are those of the schedule's time zone. One that the clock skips (when summer time
-begins) comes at the moment it skips; one that it shows twice comes the first time. Intervals are of
-true time. Everything that comes out is UTC.
+Times of day are those of the schedule's time zone. A time that the clock skips (when summer time
+begins) is due at the moment of the skip; one that it shows twice is due the first time. Intervals
+are of true time. All results are in UTC.
 
-What was begun is gone on with first. Of what else is due one occasion is done: the latest campaign,
-or where none is due the latest probe; the others are left out in its favour, since a robot that is
-looked at once need not be looked at twice. What was due too long ago is left out, too.
+An occasion that was begun is continued first (`choose`). Of the others that are due, one is done:
+the latest campaign, or if none is due the latest probe; the rest is left out in its favour, since
+one look at the robot is as good as two. What was due too long ago is left out, too.
 """
 
 from __future__ import annotations
@@ -26,31 +26,30 @@ from hil.spec import Blackout, ScheduleSpec, Trigger
 
 
 def occasions(spec: ScheduleSpec, anchor: datetime, after: datetime) -> Iterator[Occasion]:
-    """What is due, in order; where probe and campaign are due together, the campaign alone.
+    """Yield the occasions in order; of a probe and a campaign due together, the campaign alone.
 
     Args:
         spec: The schedule.
         anchor: The minute of its first start: nothing before that is due, and intervals count from
-            it unless the schedule says from when.
-        after: Only what is due later.
+            it unless the schedule has a `start`.
+        after: Only those due later than this.
     """
     after = max(after, anchor - timedelta(seconds=1))
     start = begin_of(spec, anchor)
-    triggers: list[tuple[Job, Trigger]] = [("campaign", spec.campaign)]
+
+    def stream(job: Job, trigger: Trigger) -> Iterator[Occasion]:
+        return (Occasion(due, job) for due in dues(trigger, spec.timezone, start, after))
+
+    streams = [stream("campaign", spec.campaign)]
     if spec.probe is not None:
-        triggers.append(("probe", spec.probe))
-    streams = (_of(job, dues(trigger, spec.timezone, start, after)) for job, trigger in triggers)
-    # Of what is due at the same time the campaign sorts first.
+        streams.append(stream("probe", spec.probe))
+    # Of occasions that are due at the same time, the campaign sorts first.
     for _, together in groupby(heapq.merge(*streams), key=lambda each: each.due):
         yield next(together)
 
 
-def _of(job: Job, times: Iterator[datetime]) -> Iterator[Occasion]:
-    return (Occasion(due, job) for due in times)
-
-
 def begin_of(spec: ScheduleSpec, anchor: datetime) -> datetime:
-    """From when intervals count, UTC: the schedule's `start`, else when it was first started."""
+    """Return from when intervals count, UTC: the schedule's `start`, else its first start."""
     if spec.start is None:
         return anchor.astimezone(UTC)
     if spec.start.tzinfo is None:
@@ -59,13 +58,13 @@ def begin_of(spec: ScheduleSpec, anchor: datetime) -> datetime:
 
 
 def dues(trigger: Trigger, timezone: str, start: datetime, after: datetime) -> Iterator[datetime]:
-    """Due times later than `after`, UTC; without end, unless the calendar has one.
+    """Yield the due times of a trigger, UTC; endless, unless the calendar has an end.
 
     Args:
-        trigger: Every so often, by the calendar, or never.
+        trigger: An interval, a calendar rule, or neither.
         timezone: Of the calendar.
         start: From when intervals count; it is a due time itself.
-        after: Only what is due later.
+        after: Only times later than this.
     """
     if trigger.every is not None:
         yield from _intervals(trigger.every, start, after)
@@ -90,47 +89,49 @@ _MINUTE, _DAY = timedelta(minutes=1), timedelta(days=1)
 
 
 def _by_calendar(cron: str, zone: ZoneInfo, after: datetime) -> Iterator[datetime]:
-    # What the wall shows then was shown at `after` or before; later times of day come later.
+    # Of a time that the clock shows twice the first counts, which may be before `after`: the
+    # comparison leaves it out.
     shown = after.astimezone(zone).replace(tzinfo=None)
     wall, before = shown.replace(second=0, microsecond=0), after
-    while (found := _shown_next(cron, zone, wall)) is not None:
-        wall, due = found[0] + _MINUTE, found[1]
+    while (following := _next_shown(cron, zone, wall)) is not None:
+        wall, due = following[0] + _MINUTE, following[1]
         if due > before:
             yield due
             before = due
 
 
 @lru_cache(maxsize=1024)  # the loop asks for the same minutes again and again
-def _shown_next(cron: str, zone: ZoneInfo, wall: datetime) -> tuple[datetime, datetime] | None:
-    """The first due time from then on: as the wall shows it, and UTC."""
-    found = _calendar(cron).get_next_fire_time(None, wall.replace(tzinfo=UTC))
-    if found is None:
+def _next_shown(cron: str, zone: ZoneInfo, wall: datetime) -> tuple[datetime, datetime] | None:
+    """Return the first due time from a local time on: as the local clock shows it, and UTC."""
+    fires = _calendar(cron).get_next_fire_time(None, wall.replace(tzinfo=UTC))
+    if fires is None:
         return None
-    shown = found.replace(tzinfo=None)
+    shown = fires.replace(tzinfo=None)
     return shown, moment_of(shown, zone)
 
 
 @cache
 def _calendar(cron: str) -> Any:
-    """It is walked as if it were UTC's: where clocks are never put forward or back."""
+    """Return the calendar in UTC, where clocks are never put forward or back."""
     from apscheduler.triggers.cron import CronTrigger
 
     return CronTrigger.from_crontab(cron, timezone=UTC)
 
 
 def moment_of(wall: datetime, zone: ZoneInfo, *, last: bool = False) -> datetime:
-    """When a clock on the wall shows a time, UTC.
+    """Return when a local clock shows a time, UTC.
 
     Args:
-        wall: Without a time zone.
+        wall: Local time, without a time zone.
         zone: Of the clock.
-        last: Of a time that it shows twice, the second.
+        last: Return the second moment of a time that the clock shows twice.
     """
     shown = wall.replace(tzinfo=zone, fold=int(last))
     moment = shown.astimezone(UTC)
     if moment.astimezone(zone).replace(tzinfo=None, fold=0) == wall:
         return moment
-    # Skipped: by the rule of before it comes after the clock is put forward, by the new one before.
+    # A skipped time: by the offset before the skip it is after it, by the offset after it before.
+    # The skip is between the two.
     late, early = (wall.replace(tzinfo=zone, fold=fold).astimezone(UTC) for fold in (0, 1))
     while late - early > timedelta(seconds=1):
         middle = early + (late - early) // 2
@@ -146,8 +147,8 @@ class Window:
     """A time in which nothing may be done.
 
     Attributes:
-        begin, end: UTC; the end is free again.
-        why: What the schedule says, else when it is.
+        begin, end: UTC; the end does not belong to it.
+        why: Its time of day and its reason by the schedule.
     """
 
     begin: datetime
@@ -158,20 +159,20 @@ class Window:
 def next_free(
     spec: ScheduleSpec, moment: datetime, lasting: timedelta
 ) -> tuple[datetime | None, Window | None]:
-    """When something may begin that takes so long, and what keeps it from beginning now.
+    """Return when work may begin that takes so long, and what keeps it from beginning now.
 
     Args:
         spec: The schedule.
-        moment: Not before that.
-        lasting: It must end before the next blackout.
+        moment: The work begins at this moment or later.
+        lasting: How long it takes; it must end before the next blackout.
 
     Returns:
-        The first moment, UTC, or None where it fits nowhere between blackouts; and the first
-        blackout in its way, None where it may begin at once.
+        The first such moment, UTC, or None if it fits nowhere between blackouts; and the first
+        blackout in its way, or None if it may begin at once.
     """
     lasting = max(lasting, timedelta(seconds=1))
     free, first = moment.astimezone(UTC), None
-    hopeless = _settled_by(spec, free) + lasting
+    hopeless = _regular_from(spec, free) + lasting
     while (window := window_in(spec, free, free + lasting)) is not None:
         first = first or window
         free = window.end
@@ -180,23 +181,24 @@ def next_free(
     return free, first
 
 
-def _settled_by(spec: ScheduleSpec, moment: datetime) -> datetime:
-    """After this every week has the same blackouts, and two of them have been seen."""
+def _regular_from(spec: ScheduleSpec, moment: datetime) -> datetime:
+    """Return a moment after two whole weeks whose blackouts are those of every later week."""
     days = [day for one in spec.blackout for day in (one.first, one.last) if day]
     latest = max([moment, *(datetime.combine(day, time(), UTC) for day in days)])
     return latest + 16 * _DAY
 
 
 def window_in(spec: ScheduleSpec, begin: datetime, end: datetime) -> Window | None:
-    """The blackout that begins first of those with some part in `begin` … `end`, None if none."""
+    """Return the blackout that begins first of those that overlap `begin` … `end`; None if none."""
     zone = ZoneInfo(spec.timezone)
+    # A blackout may end on the day after it began; one day more for clocks that are put back.
     day, last = begin.astimezone(zone).date() - 2 * _DAY, end.astimezone(zone).date()
-    found: list[Window] = []
-    while day <= last and not found:
-        windows = (_window(one, day, zone) for one in spec.blackout if _holds_on(one, day))
-        found = [each for each in windows if each.begin < end and begin < each.end]
+    windows: list[Window] = []
+    while day <= last and not windows:
+        of_day = (_window(one, day, zone) for one in spec.blackout if _begins_on(one, day))
+        windows = [each for each in of_day if each.begin < end and begin < each.end]
         day += _DAY
-    return min(found, key=lambda window: window.begin, default=None)
+    return min(windows, key=lambda window: window.begin, default=None)
 
 
 def _window(blackout: Blackout, day: date, zone: ZoneInfo) -> Window:
@@ -221,74 +223,74 @@ def _time_of_day(text: str) -> timedelta:
 _DAYS = ("mon", "tue", "wed", "thu", "fri", "sat", "sun")
 
 
-def _holds_on(blackout: Blackout, day: date) -> bool:
-    """Whether it begins on that day."""
+def _begins_on(blackout: Blackout, day: date) -> bool:
+    """Return whether a blackout begins on a day."""
     in_season = (blackout.first or day) <= day <= (blackout.last or day)
     return in_season and (not blackout.days or _DAYS[day.weekday()] in blackout.days)
 
 
-PUNCTUAL = timedelta(minutes=10)
-"""What begins so long after it was due is on time: timers call every few minutes only."""
-
-
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """What is done about everything that is due.
+    """What is done with everything that is due.
 
     Attributes:
         late: Due too long ago, oldest first; left out.
-        instead: Due, and left out in favour of what is chosen.
-        chosen: What is to be done, None if nothing is.
-        again: Whether that was begun before.
+        instead: Due, and left out in favour of `occasion`.
+        occasion: To be done; None if nothing is.
+        again: Whether it was begun before.
     """
 
     late: tuple[Occasion, ...] = ()
     instead: tuple[Occasion, ...] = ()
-    chosen: Occasion | None = None
+    occasion: Occasion | None = None
     again: bool = False
 
 
 def choose(
     spec: ScheduleSpec, standing: Standing, now: datetime, due_by: datetime | None = None
 ) -> Choice:
-    """What is done at a moment.
+    """Return what is done at a moment.
 
     Args:
         spec: The schedule.
-        standing: Of its ledger, which has been started.
+        standing: State of its ledger, which has been started.
         now: The moment.
-        due_by: What is due later waits; by default that moment.
+        due_by: Occasions that are due later wait; by default `now`.
     """
     latest = now - lateness(spec)
     if standing.begun and standing.open is not None:
         touched = standing.touched or standing.open.due
         if touched < now - spec.missed_within:
             return Choice(late=(standing.open,))
-        return Choice(chosen=standing.open, again=True)
+        return Choice(occasion=standing.open, again=True)
     due = (*((standing.open,) if standing.open else ()), *due_until(spec, standing, due_by or now))
     late = tuple(each for each in due if each.due < latest)
     timely = [each for each in due if each.due >= latest]
     if not timely:
         return Choice(late)
-    chosen = max(timely, key=lambda each: (each.job == "campaign", each.due))
-    return Choice(late, tuple(each for each in timely if each != chosen), chosen)
+    occasion = max(timely, key=lambda each: (each.job == "campaign", each.due))
+    return Choice(late, tuple(each for each in timely if each != occasion), occasion)
 
 
 def due_until(spec: ScheduleSpec, standing: Standing, now: datetime) -> Sequence[Occasion]:
-    """What is due up to `now` and not settled, oldest first, without what is open."""
+    """Return what is due up to `now` and not settled, oldest first, without the open occasion."""
     assert standing.anchor is not None
     assert standing.until is not None
     coming = occasions(spec, standing.anchor, standing.until)
     return list(takewhile(lambda each: each.due <= now, coming))
 
 
+PUNCTUAL = timedelta(minutes=10)
+"""What begins at most so long after it was due is on time: a timer calls every few minutes only."""
+
+
 def lateness(spec: ScheduleSpec) -> timedelta:
-    """How long after it was due something may begin."""
+    """Return how long after it was due an occasion may begin."""
     return spec.missed_within if spec.missed == "run" else PUNCTUAL
 
 
 def late_words(spec: ScheduleSpec, standing: Standing, late: Sequence[Occasion]) -> str:
-    """Why those are left out."""
+    """Return why late occasions are left out."""
     limit = duration_text(spec.missed_within)
     if standing.begun and list(late) == [standing.open]:
         return f"begun, and not gone on with within {limit}"

@@ -1,4 +1,4 @@
-"""Which robots a fleet has, and the spec and experiment of each of them.
+"""The robots of a fleet, and the spec and the experiment of each of them.
 
 Robots are named by patterns, or by a file with their addresses. All run one spec in which only
 the robot is replaced; the rest of its text stays as it was written.
@@ -16,11 +16,11 @@ from hil.planning import Experiment, find_station
 from hil.spec import Station, load_fleet_spec, resolve_robot, spec_from_text
 
 FEW = 12
-"""Of the names of robots a hint lists."""
+"""Number of robot names that a hint lists at most."""
 
 
 def robots_like(station: Station, patterns: Sequence[str], where: str) -> tuple[str, ...]:
-    """Names of a station's robots that match any of the patterns, in the station's order.
+    """Return the robots of a station that match any of the patterns, in the station's order.
 
     Args:
         station: With the robots.
@@ -43,27 +43,29 @@ def robots_like(station: Station, patterns: Sequence[str], where: str) -> tuple[
     return tuple(name for name in names if any(fnmatchcase(name, one) for one in patterns))
 
 
-def robots_named(given: Sequence[str]) -> tuple[list[str], Path, dict[str, str]]:
+def robots_named(words: Sequence[str]) -> tuple[list[str], Path, dict[str, str]]:
     """Return patterns of robots, the file that names robots with their addresses, and its content.
 
-    Without a file among what is given, there are no addresses, and the file is one to be written.
+    Args:
+        words: Patterns, and files (`*.yaml`). Without a file there are no addresses, and the
+            returned file is one that could be written.
 
     Raises:
         SpecError: The file has problems.
     """
-    files = [one for one in given if one.endswith((".yaml", ".yml"))]
-    named = {name: at for file in files for name, at in load_fleet_spec(file).robots.items()}
-    patterns = [one for one in given if one not in files]
-    return [*patterns, *named], Path(files[0] if files else "fleet.yaml"), named
+    files = [one for one in words if one.endswith((".yaml", ".yml"))]
+    addresses = {name: at for file in files for name, at in load_fleet_spec(file).robots.items()}
+    patterns = [one for one in words if one not in files]
+    return [*patterns, *addresses], Path(files[0] if files else "fleet.yaml"), addresses
 
 
 def spec_for(text: str, name: str, robot: str) -> str:
-    """The text of a spec with another robot; all else stays as it was written.
+    """Return the text of a spec with another robot; the rest stays as it was written.
 
     Args:
         text: YAML.
         name: Of its file, for errors.
-        robot: To be named in it.
+        robot: Name of the other robot.
 
     Raises:
         SpecError: It names no robot whose place could be taken.
@@ -78,13 +80,13 @@ def spec_for(text: str, name: str, robot: str) -> str:
 
 
 def experiment_for(text: str, folder: Path, station: Path | None, source: Path) -> Experiment:
-    """The experiment of one robot.
+    """Return the experiment of one robot.
 
     Args:
         text: Its spec, from `spec_for`.
-        folder: Where relative paths in it begin.
+        folder: Folder that relative paths in the spec start at.
         station: The station file; by default the one an experiment in `folder` would use.
-        source: What the run shall name as its spec.
+        source: File that the run names as its spec.
 
     Raises:
         SpecError: Spec or station have problems, or the station lacks the robot.

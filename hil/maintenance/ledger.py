@@ -1,16 +1,17 @@
-"""The ledger of a schedule: what became of everything that was due, one JSON line per event.
+"""The ledger of a schedule: the result of everything that was due, one JSON line per event.
 
-    STATE/ledger.jsonl          grows only; every line carries the digest of the one before
-    STATE/occasions/ID/         what the work of an occasion has done so far
-    STATE/.lock                 held by the process that keeps it
+    STATE/ledger.jsonl          only appended to; every line carries the digest of the one before
+    STATE/occasions/ID/         what the work of an occasion has done so far (`stages`)
+    STATE/.lock                 held by the process that runs the schedule
 
-An occasion is something that was due at some time, done once. `started` says from when on things
-are due. Everything due up to the latest `until` is settled, but for the occasion that is open: put
-off (`deferred`), or `begun` and not ended. It ends as `done`, `failed`, `held` or `missed`. What is
-left out is `missed`: one line for all that shares a reason.
+An occasion is a job that was due at some time; it is done once. `started` says from when on
+occasions are due. Everything due up to the latest `until` is settled, but for the occasion that is
+open: put off (`deferred`), or `begun` and not ended. It ends as `done`, `failed`, `held` or
+`missed`. Occasions that are left out are `missed`: one line for all that share a reason.
 
-From `held` to `released` nothing begins. A schedule is held by a person, by what ended badly on the
-robot (somebody has to look before the arm moves again), and by a clock that cannot be right.
+From `held` to `released` nothing begins. A schedule is held by a person, by an occasion that ended
+badly at the robot (the robot has to be inspected before it moves again), and by a clock that cannot
+be right.
 
 `Standing.after` is the state after each line, of the occasion that is open and of the schedule:
 
@@ -27,7 +28,7 @@ robot (somebody has to look before the arm moves again), and by a clock that can
 | held          | `released`                                  | not held                        |
 | any           | `started`, `released` with a new anchor     | nothing open, not held          |
 
-One process keeps the ledger; others add what a person says, each line under a lock of the file.
+One process runs the schedule; others add `held` and `released`, each line under a lock of the file.
 """
 
 from __future__ import annotations
@@ -64,11 +65,11 @@ Job = Literal["probe", "campaign"]
 
 @dataclass(frozen=True, slots=True, order=True)
 class Occasion:
-    """Something that is due.
+    """A job that is due at some time.
 
     Attributes:
         due: When, in UTC.
-        job: What: `probe` (and what follows from it), or the whole `campaign`.
+        job: `probe` (and what follows from it), or the whole `campaign`.
     """
 
     due: datetime
@@ -76,23 +77,33 @@ class Occasion:
 
     @property
     def id(self) -> str:
-        """Unique within a schedule, and fit for a folder's name: `20261128T030000Z-probe`."""
+        """Unique within a schedule, and a valid folder name: `20261128T030000Z-probe`."""
         return f"{self.due.astimezone(UTC):%Y%m%dT%H%M%SZ}-{self.job}"
 
 
+@lru_cache(maxsize=1024)
+def occasion_of(text: str) -> Occasion:
+    """Return the occasion of an `Occasion.id`. Raises `ValueError` if it is none."""
+    moment, _, job = text.partition("-")
+    if job not in get_args(Job):
+        raise ValueError(f"{text!r} is no occasion")
+    due = datetime.strptime(moment, "%Y%m%dT%H%M%SZ").replace(tzinfo=UTC)
+    return Occasion(due, "probe" if job == "probe" else "campaign")
+
+
 class Work(Protocol):
-    """Does what is due, or goes on with it where a crash has left it."""
+    """Does the job of an occasion, or continues it after a crash."""
 
     def __call__(self, occasion: Occasion, folder: Path) -> Mapping[str, Any]:
-        """Do it; what is done already in `folder` is not done again.
+        """Do the job; what `folder` says is done is not done again.
 
         Args:
             occasion: What is due.
-            folder: Of this occasion alone; the same one whenever it is gone on with.
+            folder: Of this occasion alone; the same whenever it is continued.
 
         Returns:
-            What came of it, for the ledger, notifications and people: at least `text` (one line)
-            and `outcome` (`quiet`, `drift`, `promoted`, `kept`).
+            The result, for the ledger and notifications: at least `text` (one line) and `outcome`
+            (`quiet`, `drift`, `promoted`, `kept`).
 
         Raises:
             HilError: It could not be done, or not to its end.
@@ -105,16 +116,16 @@ Line = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """How things stand after some lines.
+    """The state of a schedule after some lines of its ledger.
 
     Attributes:
-        anchor: The minute in which the schedule was first started, None before that.
-        until: Everything due until then is settled, but for what is open.
-        open: An occasion that was begun or put off, and has not ended.
-        begun: Whether it was begun.
-        why: Why it was last put off, empty if it was not.
-        touched: Of the last line about what is open.
-        held: The line that holds the schedule, None if nothing does.
+        anchor: The minute in which the schedule was first started; None before that.
+        until: Everything due until then is settled, but for the open occasion.
+        open: An occasion that was begun or put off, and has not ended; None without one.
+        begun: Whether the open occasion was begun.
+        why: Why it was last put off; empty if it was not.
+        touched: Time of the last line about the open occasion.
+        held: The line that holds the schedule; None if it is not held.
     """
 
     anchor: datetime | None = None
@@ -126,13 +137,13 @@ class Standing:
     held: Line | None = None
 
     def after(self, line: Line) -> Standing:
-        """How they stand after one more line. Raises `ValueError` or `KeyError` at nonsense."""
+        """Return the state after one more line. Raises `ValueError` or `KeyError` at nonsense."""
         event, at = line["event"], datetime.fromisoformat(line["at"])
         if event == "started":
             anchor = datetime.fromisoformat(line["anchor"])
             return Standing(anchor=anchor, until=anchor - timedelta(seconds=1))
         if event == "released" and "anchor" in line:
-            # The clock was wrong before: what it settled is not.
+            # The clock was wrong before, and what was settled by it is not settled.
             anchor, until = (datetime.fromisoformat(line[key]) for key in ("anchor", "until"))
             return Standing(anchor=anchor, until=until)
         now = self
@@ -140,135 +151,77 @@ class Standing:
             until = datetime.fromisoformat(line["until"])
             # A clock that was put back settles nothing twice.
             now = replace(self, until=max(until, self.until or until))
+        closed = replace(now, open=None, begun=False, why="", touched=None)
         if event == "deferred":
-            held = occasion_of(line["occasion"])
-            return replace(now, open=held, why=line["why"], touched=at)
+            occasion = occasion_of(line["occasion"])
+            return replace(now, open=occasion, why=line["why"], touched=at)
         if event == "begun":
-            held = occasion_of(line["occasion"])
-            return replace(now, open=held, begun=True, why="", touched=at)
+            occasion = occasion_of(line["occasion"])
+            return replace(now, open=occasion, begun=True, why="", touched=at)
         if event == "missed" and "instead" in line:
-            held = occasion_of(line["instead"])
-            return now if held == now.open else replace(closed(now), open=held, touched=at)
+            occasion = occasion_of(line["instead"])
+            return now if occasion == now.open else replace(closed, open=occasion, touched=at)
         if event == "released":
             return replace(now, held=None)
         if event == "held":
-            return replace(closed(now) if "occasion" in line else now, held=line)
-        if event in ("done", "failed") or (event == "missed" and self._begins(line)):
-            return closed(now)
-        return now
-
-    def _begins(self, line: Line) -> bool:
-        """Whether what is open is the first of those left out; it is due before all others."""
-        return self.open is not None and self.open.id == line["since"]
-
-
-def closed(standing: Standing) -> Standing:
-    """The same with nothing open."""
-    return replace(standing, open=None, begun=False, why="", touched=None)
-
-
-@lru_cache(maxsize=1024)
-def occasion_of(text: str) -> Occasion:
-    """Inverse of `Occasion.id`. Raises `ValueError`."""
-    moment, _, job = text.partition("-")
-    if job not in get_args(Job):
-        raise ValueError(f"{text!r} is no occasion")
-    due = datetime.strptime(moment, "%Y%m%dT%H%M%SZ").replace(tzinfo=UTC)
-    return Occasion(due, "probe" if job == "probe" else "campaign")
+            return replace(closed if "occasion" in line else now, held=line)
+        if event == "missed":
+            # The open occasion is due before all others: it is the first that is left out, or none.
+            return closed if self.open is not None and self.open.id == line["since"] else now
+        return closed if event in ("done", "failed") else now
 
 
 class Ledger:
-    """What became of everything that was due.
+    """The lines of a ledger, and the state after them.
 
     Args:
-        folder: Of the state; None keeps it in memory alone, to find out what would happen.
+        folder: Of the state; None for a ledger in memory alone, to forecast what would happen.
         lines: What is in it already.
     """
 
     def __init__(self, folder: Path | None = None, lines: tuple[Line, ...] = ()) -> None:
         self.folder = folder
-        self._hold(lines)
+        self._load(lines)
 
     @classmethod
     def read(cls, folder: Path) -> Ledger:
-        """What a folder holds; a line that a crash has torn is none.
+        """Return the ledger of a folder; a line that a crash has torn is none.
 
         Raises:
             DataError: A line is damaged, or not the one that followed the line before.
         """
-        return cls(folder, tuple(_linked(folder / LEDGER_FILE)))
+        return cls(folder, tuple(_read_linked(folder / LEDGER_FILE)))
 
     def folder_of(self, occasion: Occasion) -> Path:
-        """Of this occasion alone; made when missing, unless the ledger is in memory.
+        """Return the folder of an occasion; made when missing, unless the ledger is in memory.
 
         Raises:
             RecordingError: It cannot be made.
         """
         path = (self.folder or Path()) / OCCASIONS / occasion.id
         if self.folder is not None:
-            _make(path)
+            _make_folder(path)
         return path
 
     def add(self, event: str, at: datetime, **more: Any) -> Line:
-        """Add a line; it is there for good when this returns.
+        """Add a line, which is on the disk when this returns.
 
         Raises:
-            DataError: It was damaged meanwhile.
+            DataError: The ledger was damaged meanwhile.
             RegistryError: It cannot be written.
         """
-        with self._alone():
-            said = {"event": event, "at": time_text(at), **more, "before": self._digest()}
-            line: Line = json.loads(json_line(said))  # as it will be read again: no NaN
+        with self._writing():
+            content = {"event": event, "at": time_text(at), **more, "before": self._digest()}
+            line: Line = json.loads(json_line(content))  # as it will be read again: no NaN
             if self.folder is not None:
                 append_line(self.folder / LEDGER_FILE, line)
                 self._seen = _size(self.folder / LEDGER_FILE)
             self._take(line)
         return line
 
-    def refresh(self) -> None:
-        """Take what others have added.
-
-        Raises:
-            DataError: It was damaged meanwhile.
-        """
-        if self.folder is not None and (size := _size(self.folder / LEDGER_FILE)) != self._seen:
-            path, known = self.folder / LEDGER_FILE, len(self.lines)
-            for line in _linked(path, known, self._digest(), self.standing):
-                self._take(line)
-            self._seen = size
-
-    def start(self, name: str, now: datetime) -> None:
-        """Note that the schedule was started, if it has not been before.
-
-        Raises:
-            DataError: It is the ledger of another schedule.
-        """
-        if self.standing.anchor is None:
-            # A timer that calls at 03:00 gets here a little later, and 03:00 is due all the same.
-            anchor = now.astimezone(UTC).replace(second=0, microsecond=0)
-            self.add("started", now, name=name, anchor=time_text(anchor))
-        self.require_of(name)
-
-    def require_of(self, name: str) -> None:
-        """Refuse the ledger of another schedule; nobody's is fine.
-
-        Raises:
-            DataError: It is one.
-        """
-        if self.lines and (kept := self.lines[0].get("name")) != name:
-            raise DataError(
-                f"{self.folder} is the state of the schedule {kept!r}, not of {name!r}",
-                hint="give every schedule a folder of its own with --state",
-            )
-
-    def reload(self) -> None:
-        """Read it again: an interrupt may have come between writing a line and noting it."""
-        if self.folder is not None:
-            self._hold(tuple(_linked(self.folder / LEDGER_FILE)))
-
     @contextmanager
-    def _alone(self) -> Iterator[None]:
-        """Nobody else adds a line meanwhile, and what others added is known."""
+    def _writing(self) -> Iterator[None]:
+        """Lock the file while inside, and know what others have added."""
         if self.folder is None:
             yield
             return
@@ -276,7 +229,48 @@ class Ledger:
             self.refresh()
             yield
 
-    def _hold(self, lines: tuple[Line, ...]) -> None:
+    def refresh(self) -> None:
+        """Read the lines that others have added.
+
+        Raises:
+            DataError: The ledger was damaged meanwhile.
+        """
+        if self.folder is not None and (size := _size(self.folder / LEDGER_FILE)) != self._seen:
+            path, count = self.folder / LEDGER_FILE, len(self.lines)
+            for line in _read_linked(path, count, self._digest(), self.standing):
+                self._take(line)
+            self._seen = size
+
+    def start(self, name: str, now: datetime) -> None:
+        """Add that the schedule was started, if it has not been before.
+
+        Raises:
+            DataError: It is the ledger of another schedule.
+        """
+        if self.standing.anchor is None:
+            # A timer that fires at 03:00 gets here a little later, and 03:00 is due all the same.
+            anchor = now.astimezone(UTC).replace(second=0, microsecond=0)
+            self.add("started", now, name=name, anchor=time_text(anchor))
+        self.require_of(name)
+
+    def require_of(self, name: str) -> None:
+        """Raise if it is the ledger of another schedule; an empty one is fine.
+
+        Raises:
+            DataError: It is one.
+        """
+        if self.lines and (own := self.lines[0].get("name")) != name:
+            raise DataError(
+                f"{self.folder} is the state of the schedule {own!r}, not of {name!r}",
+                hint="give every schedule a folder of its own with --state",
+            )
+
+    def reload(self) -> None:
+        """Read all lines again, as after an interrupt between writing a line and taking it."""
+        if self.folder is not None:
+            self._load(tuple(_read_linked(self.folder / LEDGER_FILE)))
+
+    def _load(self, lines: tuple[Line, ...]) -> None:
         self.lines: list[Line] = []
         self.standing = Standing()
         self._seen = -1
@@ -291,7 +285,7 @@ class Ledger:
         return _digest(self.lines[-1]) if self.lines else ""
 
 
-def _make(folder: Path) -> None:
+def _make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -304,12 +298,22 @@ def _size(path: Path) -> int:
     return path.stat().st_size if path.exists() else 0
 
 
-def _linked(
-    path: Path, known: int = 0, before: str = "", standing: Standing | None = None
+def _read_linked(
+    path: Path, skip: int = 0, before: str = "", standing: Standing | None = None
 ) -> Iterator[Line]:
-    """Lines after those that are known, each behind the one before it."""
+    """Yield the lines of a ledger, each with the digest of the one before it.
+
+    Args:
+        path: The file.
+        skip: Number of lines that are known already.
+        before: Digest of the last of these.
+        standing: State after these.
+
+    Raises:
+        DataError: A line is damaged, or not the one that followed the line before.
+    """
     standing = standing or Standing()
-    for number, raw in read_lines(path)[known:]:
+    for number, raw in read_lines(path)[skip:]:
         try:
             line = json.loads(raw)
             standing = standing.after(line)
@@ -329,7 +333,7 @@ def _linked(
 
 @contextmanager
 def _locked(path: Path) -> Iterator[None]:
-    """The lock is gone with the descriptor, however this process ends."""
+    """Lock a file while inside; the lock goes with the descriptor, however this process ends."""
     try:
         with path.open("ab") as file:
             fcntl.flock(file, fcntl.LOCK_EX)
@@ -346,18 +350,18 @@ def _digest(line: Line) -> str:
 
 
 @contextmanager
-def kept(folder: Path, name: str) -> Iterator[Ledger]:
-    """The ledger of a folder, which no other process keeps meanwhile.
+def open_ledger(folder: Path, name: str) -> Iterator[Ledger]:
+    """Return the ledger of a folder, with the folder locked while inside.
 
     Args:
         folder: Of the state; made when missing.
         name: Of the schedule.
 
     Raises:
-        DataError: Another process keeps it, it is another schedule's, or it is damaged.
-        RecordingError: It cannot be written to.
+        DataError: Another process runs the schedule, or the ledger is damaged.
+        RecordingError: The folder cannot be written to.
     """
-    _make(folder)
+    _make_folder(folder)
 
     def busy(holder: Holder) -> DataError:
         return DataError(
@@ -370,18 +374,14 @@ def kept(folder: Path, name: str) -> Iterator[Ledger]:
 
 
 def time_text(moment: datetime) -> str:
-    """A moment as the ledger has it: UTC, whole seconds."""
+    """Return a moment as the ledger has it: UTC, whole seconds."""
     return moment.astimezone(UTC).isoformat(timespec="seconds")
 
 
-AHEAD = timedelta(days=1)
-"""A ledger so far ahead of the clock was written with another clock; no time zone is so far off."""
+def needs_inspection(error: Exception) -> bool:
+    """Return whether the cause may persist at the robot: an interlock, a fault, a stop by hand.
 
-
-def needs_a_look(error: Exception) -> bool:
-    """Whether the reason may still stand at the robot: an interlock, a fault, somebody's hand.
-
-    A robot that could not be reached is asked for itself before it moves again, and what failed
+    A robot that could not be reached is looked at before it moves again in any case, and a failure
     without it (a fit, a disk) says nothing of it.
     """
     if isinstance(error, Stopped):
@@ -391,8 +391,12 @@ def needs_a_look(error: Exception) -> bool:
     return isinstance(error, InterlockTripped)
 
 
-def ahead(standing: Standing, now: datetime) -> str:
-    """Why the clock cannot be right, or was not; empty where it may be."""
+AHEAD = timedelta(days=1)
+"""A ledger so far ahead of the clock was written with another clock; no time zone is so far off."""
+
+
+def clock_problem(standing: Standing, now: datetime) -> str:
+    """Return why the clock is, or was, wrong; empty if it may be right."""
     if standing.until is None or standing.until <= now + AHEAD:
         return ""
     return (
@@ -402,13 +406,13 @@ def ahead(standing: Standing, now: datetime) -> str:
 
 
 def hold(ledger: Ledger, now: datetime, reason: str, by: str = "") -> Line:
-    """Let nothing begin from now on; what is under way comes to its end.
+    """Hold a schedule: nothing begins from now on, but an occasion under way comes to its end.
 
     Args:
         ledger: Of the schedule.
-        now: The moment.
+        now: The present moment.
         reason: In words.
-        by: Who says so; by default the user of this process.
+        by: Recorded; by default the user of this process.
 
     Raises:
         DataError: It is held already.
@@ -422,21 +426,21 @@ def hold(ledger: Ledger, now: datetime, reason: str, by: str = "") -> Line:
 
 
 def release(ledger: Ledger, now: datetime, reason: str, by: str = "") -> Line:
-    """Let it go on; from now on, where its ledger is ahead of the clock.
+    """Release a schedule; if its ledger is ahead of the clock, occasions are due from now on.
 
     Args:
         ledger: Of the schedule.
-        now: The moment.
+        now: The present moment.
         reason: In words.
-        by: Who says so; by default the user of this process.
+        by: Recorded; by default the user of this process.
 
     Raises:
         DataError: Nothing holds it.
         RegistryError: It cannot be written.
     """
-    standing, again = ledger.standing, {}
-    if standing.anchor is not None and ahead(standing, now):
-        again = {"anchor": time_text(min(standing.anchor, now)), "until": time_text(now)}
+    standing, restart = ledger.standing, {}
+    if standing.anchor is not None and clock_problem(standing, now):
+        restart = {"anchor": time_text(min(standing.anchor, now)), "until": time_text(now)}
     elif standing.held is None:
         raise DataError("the schedule is not held", hint="hil schedule show FILE")
-    return ledger.add("released", now, why=reason, by=by or operator(), **again)
+    return ledger.add("released", now, why=reason, by=by or operator(), **restart)

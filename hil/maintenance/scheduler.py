@@ -1,9 +1,10 @@
-"""The loop of a schedule: what is due is done, once, and written down.
+"""The loop of a schedule: what is due is done once, and written into the ledger.
 
-It works on a clock, so that simulations, dry runs and tests have one of their own. Due times are
-computed from that clock every time: a computer that slept, or whose clock was set, is no matter.
-Before an occasion the robot is asked whether it is free and safe to use; when a blackout begins,
-what is under way is stopped as by SIGTERM; a command of the lab's own is told what came of it.
+The loop works on a clock, so that simulations, forecasts and tests have one of their own. Due times
+are computed from that clock every time, so that a suspended computer, or a clock that was set, does
+no harm. Before an occasion the robot is asked whether it is free and safe to use (`RobotReady`).
+When a blackout begins, work is stopped as by SIGTERM (`interrupt_at`). The result is passed to a
+command of the lab's own (`Command`).
 """
 
 from __future__ import annotations
@@ -35,7 +36,15 @@ from hil.maintenance.due_times import (
     occasions,
     window_in,
 )
-from hil.maintenance.ledger import Job, Ledger, Occasion, Work, ahead, needs_a_look, time_text
+from hil.maintenance.ledger import (
+    Job,
+    Ledger,
+    Occasion,
+    Work,
+    clock_problem,
+    needs_inspection,
+    time_text,
+)
 from hil.planning import Experiment, held
 from hil.robot import Status
 from hil.spec import ScheduleSpec
@@ -46,22 +55,22 @@ if TYPE_CHECKING:
 
 
 LOOK_AGAIN = timedelta(seconds=60)
-"""What was put off for the robot's sake is tried again so often."""
+"""Interval at which a robot that was not ready, or a held schedule, is looked at again."""
 
-WEEK = timedelta(days=8)
-"""Nothing takes so long; a blackout after that ends nothing."""
+LONGEST_WORK = timedelta(days=8)
+"""No occasion takes longer, so that a later blackout interrupts none."""
 
 Line = Mapping[str, Any]
 
 
 class Clock(Protocol):
-    """What time it is."""
+    """The clock of a loop."""
 
     def now(self) -> datetime:
-        """Now, with its time zone."""
+        """Return the present moment, with its time zone."""
 
     def sleep_until(self, moment: datetime) -> None:
-        """Wait; may return early."""
+        """Wait until then; may return early."""
 
 
 class Interruption(Exception):
@@ -69,24 +78,27 @@ class Interruption(Exception):
 
 
 Guard = Callable[[datetime | None], AbstractContextManager[None]]
-"""Ends what is done inside when a moment comes, by raising `Interruption`."""
+"""Interrupts what is done inside at a moment, if there is one, by raising `Interruption`."""
 
 
 @dataclass
 class Scheduler:
-    """Does what is due.
+    """The loop of a schedule.
 
     Args:
         spec: The schedule.
-        ledger: Of its state, kept by this process alone.
-        work: What is done.
-        clock: What time it is.
-        lasting: How long an occasion takes at most, for blackouts.
-        ready: Why the robot cannot be used now; empty when it can.
-        guard: Ends work when a blackout begins.
-        tell: Is told every line of the ledger.
-        notify: Is told what came of an occasion; returns why it could not be, or nothing.
-        failure: What the last occasion failed of, None if it did not.
+        ledger: Of its state, which no other process runs.
+        work: Does the job of an occasion.
+        clock: The time by which occasions are due.
+        lasting: Returns how long a job takes at most; it must fit between blackouts.
+        ready: Returns why the robot cannot be used now; empty if it can.
+        guard: Interrupts work when a blackout begins.
+        tell: Called with every line that the loop adds to the ledger.
+        notify: Called with the result of an occasion; returns why it could not be passed on, or
+            nothing.
+
+    Attributes:
+        failure: Error of the last occasion; None if it succeeded.
     """
 
     spec: ScheduleSpec
@@ -104,11 +116,11 @@ class Scheduler:
         self.ledger.start(self.spec.name, self.clock.now())
 
     def run(self, end: datetime | None = None) -> None:
-        """Do what is due whenever it is, to an end if there is one.
+        """Do what is due whenever it is, until `end` if there is one.
 
         Raises:
-            Stopped: A signal came; what was begun is gone on with at the next start.
-            DataError, RecordingError, RegistryError: The ledger cannot be kept.
+            Stopped: A signal came; an occasion that was begun is continued at the next start.
+            DataError, RecordingError, RegistryError: The ledger is damaged or cannot be written.
         """
         try:
             while end is None or self.clock.now() < end:
@@ -129,28 +141,28 @@ class Scheduler:
             Stopped, DataError, RecordingError, RegistryError: See `run`.
         """
         due_by = self.clock.now()
-        while self._one(due_by):
+        while self._do_next(due_by):
             pass
 
     def run_due(self, end: datetime | None = None) -> None:
-        """Do everything that is due now, as far as it can be done now, and before `end`.
+        """Do everything that is due, as far as it can be done now, and before `end`.
 
-        What takes longer than its interval is always due again.
+        A job that takes longer than its interval is always due again.
 
         Raises:
             Stopped, DataError, RecordingError, RegistryError: See `run`.
         """
-        while (end is None or self.clock.now() < end) and self._one():
+        while (end is None or self.clock.now() < end) and self._do_next():
             pass
 
     def next_moment(self) -> datetime | None:
-        """When something may have to be done again; None if never."""
+        """Return when something may have to be done again; None if never."""
         standing, now = self.ledger.standing, self.clock.now()
         assert standing.anchor is not None
         assert standing.until is not None
-        if standing.held is not None:  # until then somebody may have released it
+        if standing.held is not None:  # it may have been released by then
             return now + LOOK_AGAIN
-        # What came due beside something that is open waits for it, and is no reason to wake.
+        # Occasions that come due beside an open one wait for it: they are no reason to wake.
         after = max(now, standing.until) if standing.open else standing.until
         coming = next(occasions(self.spec, standing.anchor, after), None)
         moments = [coming.due] if coming is not None else []
@@ -159,12 +171,16 @@ class Scheduler:
             moments.append(free if window and free else now + LOOK_AGAIN)
         return min(moments, default=None)
 
-    def _one(self, due_by: datetime | None = None) -> bool:
-        """Do what is most due, now or by some moment; returns whether there may be more."""
+    def _do_next(self, due_by: datetime | None = None) -> bool:
+        """Do what is to be done first; return whether there may be more to do.
+
+        Args:
+            due_by: Occasions that are due later wait; by default the present moment.
+        """
         self.ledger.refresh()
         now, standing = self.clock.now(), self.ledger.standing
         due_by = min(due_by or now, now)
-        if standing.held is None and (why := ahead(standing, now)):
+        if standing.held is None and (why := clock_problem(standing, now)):
             self._announce(self._note("held", why=why))
         if self.ledger.standing.held is not None:
             return False
@@ -172,34 +188,35 @@ class Scheduler:
         if choice.late:
             why = late_words(self.spec, standing, choice.late)
             self._leave_out(choice.late, why, choice.late[-1].due)
-        if choice.chosen is None:
+        if choice.occasion is None:
             return bool(choice.late)
-        # What was begun was chosen before: others that became due since are still to be looked at.
+        # An occasion that was begun was chosen before: others may have come due since, and are not
+        # settled by it.
         until = (standing.until if choice.again else None) or due_by
         if choice.instead:
-            why = f"{choice.chosen.id} stands for it"
-            self._leave_out(choice.instead, why, until, instead=choice.chosen.id)
-        if (window := self._in_the_way(choice.chosen)) is not None:
-            return self._wait_for_its_end(choice.chosen, window, until, again=choice.again)
+            why = f"{choice.occasion.id} stands for it"
+            self._leave_out(choice.instead, why, until, instead=choice.occasion.id)
+        if (window := self._blackout_for(choice.occasion)) is not None:
+            return self._wait_for_end_of(window, choice.occasion, until, again=choice.again)
         if why := self.ready():
-            self._put_off(choice.chosen, why, until)
+            self._put_off(choice.occasion, why, until)
             return False
-        # The robot may have been waited for, and the schedule held meanwhile.
+        # Waiting for the robot may have taken long, and the schedule may be held by now.
         self.ledger.refresh()
         standing = self.ledger.standing
         late = choose(self.spec, standing, self.clock.now(), due_by).late
-        if standing.held or choice.chosen in late or self._in_the_way(choice.chosen) is not None:
+        if standing.held or choice.occasion in late or self._blackout_for(choice.occasion):
             return True
-        return self._do(choice.chosen, until, again=choice.again)
+        return self._do(choice.occasion, until, again=choice.again)
 
-    def _in_the_way(self, occasion: Occasion) -> Window | None:
-        """The blackout that keeps it from beginning now."""
+    def _blackout_for(self, occasion: Occasion) -> Window | None:
+        """Return the blackout that keeps an occasion from beginning now."""
         return next_free(self.spec, self.clock.now(), self.lasting(occasion.job))[1]
 
-    def _wait_for_its_end(
-        self, occasion: Occasion, window: Window, until: datetime, *, again: bool
+    def _wait_for_end_of(
+        self, window: Window, occasion: Occasion, until: datetime, *, again: bool
     ) -> bool:
-        """Put it off until it fits, or leave it out where that is too late."""
+        """Put an occasion off until it fits, or leave it out if that is too late."""
         now = self.clock.now()
         free, _ = next_free(self.spec, now, self.lasting(occasion.job))
         begins_by = now + self.spec.missed_within if again else occasion.due + lateness(self.spec)
@@ -210,25 +227,27 @@ class Scheduler:
         return True
 
     def _put_off(self, occasion: Occasion, why: str, until: datetime) -> None:
-        """Note it, once for each reason; everything else due until then is settled."""
+        """Note that an occasion is put off, once for each reason."""
         standing = self.ledger.standing
         if (standing.open, standing.why) != (occasion, why):
             self._note("deferred", occasion=occasion.id, why=why, until=time_text(until))
 
     def _leave_out(self, left: Sequence[Occasion], why: str, until: datetime, **more: str) -> None:
-        told = {"since": left[0].id, "occasion": left[-1].id, "count": len(left), "why": why}
-        self._announce(self._note("missed", **told, until=time_text(until), **more))
+        which = {"since": left[0].id, "occasion": left[-1].id, "count": len(left)}
+        self._announce(self._note("missed", **which, why=why, until=time_text(until), **more))
 
     def _do(self, occasion: Occasion, until: datetime, *, again: bool) -> bool:
-        """Work; returns whether something else may be due."""
+        """Do the job of an occasion; return whether something else may be due."""
         more = {"again": True} if again else {}
         self._note("begun", occasion=occasion.id, until=time_text(until), **more)
         self.failure = None
         try:
-            with self.guard(self._next_blackout()):
+            now = self.clock.now()
+            window = window_in(self.spec, now, now + LONGEST_WORK)
+            with self.guard(window.begin if window else None):
                 document = self.work(occasion, self.ledger.folder_of(occasion))
         except Interruption:
-            self.ledger.reload()
+            self.ledger.reload()  # it stays open, and is continued after the blackout
         except KeyboardInterrupt:
             raise Stopped(
                 f"stopped in the middle of {occasion.id}",
@@ -244,22 +263,22 @@ class Scheduler:
     def _ended_badly(self, occasion: Occasion, error: Exception, until: datetime) -> bool:
         if isinstance(error, Stopped) and error.by_signal:
             raise error
-        # Not there, or somebody else's, which `ready` came too early to see.
+        # The robot is gone, or another process took it after `ready` was asked.
         if isinstance(error, RobotConnectionError) and (why := self.ready()):
             self._put_off(occasion, why, until)
             return False
-        known = error if isinstance(error, HilError) else HilError(f"{error!r}")
-        self.failure = known
-        told = {"kind": type(error).__name__, "why": known.message, "hint": known.hint}
-        # In one line: no crash may come between the failure and the hold.
-        event = "held" if needs_a_look(error) else "failed"
-        self._announce(self._note(event, occasion=occasion.id, **told))
+        self.failure = error if isinstance(error, HilError) else HilError(f"{error!r}")
+        # Failure and hold are one line: no crash may come between them.
+        self._announce(
+            self._note(
+                "held" if needs_inspection(error) else "failed",
+                occasion=occasion.id,
+                kind=type(error).__name__,
+                why=self.failure.message,
+                hint=self.failure.hint,
+            )
+        )
         return True
-
-    def _next_blackout(self) -> datetime | None:
-        now = self.clock.now()
-        window = window_in(self.spec, now, now + WEEK)
-        return window.begin if window else None
 
     def _note(self, event: str, **more: Any) -> Line:
         line = self.ledger.add(event, self.clock.now(), **more)
@@ -272,32 +291,32 @@ class Scheduler:
             self._note("unnotified", **about, why=problem)
 
 
-AWAKE_EVERY = timedelta(seconds=60)
-"""Longest sleep: a computer that was suspended, or whose clock was set, finds out after that."""
-
-
 class VirtualClock:
     """A clock that sleeping puts forward.
 
     Args:
-        moment: What it shows, with its time zone.
+        moment: Where it starts, with its time zone.
     """
 
     def __init__(self, moment: datetime) -> None:
         self._moment = moment.astimezone(UTC)
 
     def now(self) -> datetime:
-        """What it shows, UTC."""
+        """Return the moment it shows, UTC."""
         return self._moment
 
     def sleep_until(self, moment: datetime) -> None:
-        """Show that moment, unless it is past."""
+        """Put it forward to that moment, unless it is past."""
         self._moment = max(self._moment, moment.astimezone(UTC))
 
     def advance(self, by: timedelta) -> None:
-        """Show a later moment."""
+        """Put it forward."""
         self._moment += by
 
+
+AWAKE_EVERY = timedelta(seconds=60)
+"""Longest sleep: after it, the time is looked at again, in case the computer was suspended or its
+clock set."""
 
 _GRACE_S = 12 * 3600
 """APScheduler would otherwise drop an alarm that is a second late."""
@@ -306,8 +325,8 @@ _GRACE_S = 12 * 3600
 class WallClock:
     """The computer's clock, with APScheduler to wake the thread that sleeps; a context manager.
 
-    Work itself stays in the thread that sleeps: runs take signals, which reach the main thread
-    alone.
+    Work is done by the thread that sleeps and not by APScheduler's: runs handle signals, which
+    reach the main thread alone.
     """
 
     def __init__(self) -> None:
@@ -321,7 +340,7 @@ class WallClock:
     def __enter__(self) -> WallClock:
         from apscheduler.events import EVENT_JOB_ERROR, EVENT_JOB_MISSED
 
-        self._scheduler.add_listener(self._ring, EVENT_JOB_ERROR | EVENT_JOB_MISSED)
+        self._scheduler.add_listener(self._wake, EVENT_JOB_ERROR | EVENT_JOB_MISSED)
         self._scheduler.start()
         return self
 
@@ -334,7 +353,7 @@ class WallClock:
         self._scheduler.shutdown(wait=False)
 
     def now(self) -> datetime:
-        """UTC."""
+        """Return the present moment, UTC."""
         return datetime.now(UTC)
 
     def sleep_until(self, moment: datetime) -> None:
@@ -345,20 +364,20 @@ class WallClock:
         self._awake.clear()
         wakes = min(moment, now + AWAKE_EVERY)
         self._scheduler.add_job(
-            self._ring, "date", run_date=wakes, id="next", replace_existing=True
+            self._wake, "date", run_date=wakes, id="next", replace_existing=True
         )
         self._awake.wait(AWAKE_EVERY.total_seconds())
 
-    def _ring(self, event: object = None) -> None:
+    def _wake(self, event: object = None) -> None:
         self._awake.set()
 
 
 @contextlib.contextmanager
-def curfew(moment: datetime | None) -> Iterator[None]:
-    """Interrupt what is done inside when a moment of the wall clock comes.
+def interrupt_at(moment: datetime | None) -> Iterator[None]:
+    """Interrupt what is done inside at a moment of the wall clock, as by SIGTERM.
 
-    A run stops its robot safely and can be gone on with, as after `kill`. Does nothing outside the
-    main thread, where runs do not hear signals.
+    A run then stops its robot safely and can be resumed, as after `kill`. Does nothing outside the
+    main thread, where runs do not get signals.
 
     Raises:
         Interruption: The moment came.
@@ -366,9 +385,9 @@ def curfew(moment: datetime | None) -> Iterator[None]:
     if moment is None or threading.current_thread() is not threading.main_thread():
         yield
         return
-    over, rung = threading.Event(), threading.Event()
+    over, sent = threading.Event(), threading.Event()
     watch = threading.Thread(
-        target=_ring_at, args=(moment, over, rung), name="hil-curfew", daemon=True
+        target=_signal_at, args=(moment, over, sent), name="hil-blackout", daemon=True
     )
     before = signal.getsignal(signal.SIGTERM)
     if before is signal.SIG_DFL:  # it would end the process
@@ -381,7 +400,7 @@ def curfew(moment: datetime | None) -> Iterator[None]:
             over.set()
             watch.join()
     except BaseException as error:
-        if rung.is_set():
+        if sent.is_set():
             raise Interruption("a blackout began") from error
         raise
     finally:
@@ -392,11 +411,11 @@ def curfew(moment: datetime | None) -> Iterator[None]:
 _LOOK_EVERY_S = 1.0
 
 
-def _ring_at(moment: datetime, over: threading.Event, rung: threading.Event) -> None:
+def _signal_at(moment: datetime, over: threading.Event, sent: threading.Event) -> None:
     while not over.is_set():
         left_s = (moment - datetime.now(UTC)).total_seconds()
         if left_s <= 0:
-            rung.set()
+            sent.set()
             signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)
             return
         over.wait(min(left_s, _LOOK_EVERY_S))
@@ -404,16 +423,16 @@ def _ring_at(moment: datetime, over: threading.Event, rung: threading.Event) -> 
 
 @dataclass(frozen=True, slots=True)
 class RobotReady:
-    """Why a robot cannot be used now, as a text; empty when it can.
+    """Whether a robot can be used now.
 
-    A robot is connected to, leased meanwhile, and asked what the preflight asks of it: whether it
-    is at rest, without a fault, and what it finds about itself, such as remote control or
-    a protective stop. A robot on a virtual clock is this process's own, and always ready.
+    The robot is leased, connected to, and checked as in the preflight: whether it is at rest and
+    without a fault, and its own checks, such as remote control or a protective stop. A robot on
+    a virtual clock belongs to this process, and is always ready.
 
     Attributes:
         experiment: Says which robot of which station.
-        wait_s: How long a robot that somebody else holds is waited for [s].
-        tell: Is told once who is waited for.
+        wait_s: How long to wait for a robot that another process holds [s].
+        tell: Called once with the holder that is waited for.
     """
 
     experiment: Experiment
@@ -421,7 +440,7 @@ class RobotReady:
     tell: Callable[[str], object] = lambda text: None
 
     def __call__(self) -> str:
-        """Ask."""
+        """Return why the robot cannot be used now; empty if it can."""
         try:
             if check_driver(self.experiment).clock == "virtual":
                 return ""
@@ -434,15 +453,15 @@ class RobotReady:
 
 
 def _trouble(robot: Robot) -> str:
-    """What keeps a connected robot from being moved."""
+    """Return what keeps a connected robot from being moved; empty if nothing does."""
     state = robot.read()[-1]
-    told = []
+    problems = []
     if int(state["status"]) & Status.FAULT or int(state["fault_code"]):
-        told.append(f"the controller reports fault code {int(state['fault_code'])}")
+        problems.append(f"the controller reports fault code {int(state['fault_code'])}")
     if (speed := float(np.abs(state["qd"]).max())) > REST_RAD_S:
-        told.append(f"its fastest joint moves at {speed:.4f} rad/s")
-    told += [result.message for result in own_checks(robot) if not result.passed]
-    return "; ".join(told)
+        problems.append(f"its fastest joint moves at {speed:.4f} rad/s")
+    problems += [result.message for result in own_checks(robot) if not result.passed]
+    return "; ".join(problems)
 
 
 WITHIN_S = 60.0
@@ -450,11 +469,11 @@ WITHIN_S = 60.0
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """Run after every occasion; nothing it does ends the loop.
+    """A command of the lab that is run after every occasion; its failure does not end the loop.
 
     Attributes:
         words: The command and its arguments; empty for none.
-        schedule: Name of the schedule, in what it is told.
+        schedule: Name of the schedule, which its input has.
         within_s: It is killed after that time [s].
     """
 
@@ -463,28 +482,27 @@ class Command:
     within_s: float = WITHIN_S
 
     def __call__(self, line: Mapping[str, Any]) -> str:
-        """Tell it a line of the ledger; returns why that failed, or nothing."""
+        """Run it with a line of the ledger as its input; return why that failed, or nothing."""
         if not self.words:
             return ""
-        told = {key: value for key, value in line.items() if key != "before"}
-        text = json_text({"schedule": self.schedule, **told})
+        content = {key: value for key, value in line.items() if key != "before"}
         try:
-            return self._run(text.encode())
+            return self._run(json_text({"schedule": self.schedule, **content}).encode())
         except subprocess.TimeoutExpired:
             return f"{self.words[0]} did not end within {self.within_s:g} s"
         except (OSError, ValueError) as error:
             return f"{self.words[0]} cannot be run: {error}"
 
-    def _run(self, said: bytes) -> str:
+    def _run(self, line: bytes) -> str:
         # Files, not pipes: a grandchild may keep a pipe open for as long as it likes.
-        with tempfile.TemporaryFile() as given, tempfile.TemporaryFile() as told:
-            given.write(said)
-            given.seek(0)
+        with tempfile.TemporaryFile() as stdin, tempfile.TemporaryFile() as stderr:
+            stdin.write(line)
+            stdin.seek(0)
             command = subprocess.Popen(  # noqa: S603
                 self.words,
-                stdin=given,
+                stdin=stdin,
                 stdout=subprocess.DEVNULL,
-                stderr=told,
+                stderr=stderr,
                 start_new_session=True,
             )
             try:
@@ -493,8 +511,8 @@ class Command:
                 if command.poll() is None:
                     os.killpg(command.pid, signal.SIGKILL)
                     command.wait()
-            told.seek(0)
-            last = told.read().decode("utf-8", "replace").strip().splitlines()[-1:]
+            stderr.seek(0)
+            last = stderr.read().decode("utf-8", "replace").strip().splitlines()[-1:]
         if not code:
             return ""
-        return f"{self.words[0]} ended with {code}" + "".join(f": {plain(line)}" for line in last)
+        return f"{self.words[0]} ended with {code}" + "".join(f": {plain(text)}" for text in last)

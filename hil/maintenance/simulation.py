@@ -1,12 +1,12 @@
-"""A schedule on the embedded mock, weeks of it at once: the real loop and work, another clock.
+"""Simulation of a schedule on the embedded mock: weeks at once, by the real loop and the real work.
 
-    FOLDER/runs/ registry/     what the work makes, as ever
-    FOLDER/state/              the loop's ledger and occasions
-    FOLDER/simulation.json     every occasion: the conditions it met, and what came of it
+    FOLDER/runs/ registry/     as of any schedule
+    FOLDER/state/              ledger and occasions
+    FOLDER/simulation.json     every occasion, with its conditions and its result
     FOLDER/report.html
 
-The clock shows when something is due, and goes on by what motions take. Everything else is as on a
-real robot, but for the room, the wear and the noise, which are other ones on every occasion.
+The clock is put forward to the next due time, and by the duration of each motion. The rest is as on
+a real robot, but room temperature, wear and noise are drawn anew for every occasion (`Conditions`).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from hil.importers import load_source
 from hil.maintenance.binding import Bound, bind
 from hil.maintenance.dry_run import Motions, motions, require_room
 from hil.maintenance.due_times import begin_of
-from hil.maintenance.ledger import Occasion, Work, kept, occasion_of
+from hil.maintenance.ledger import Occasion, Work, occasion_of, open_ledger
 from hil.maintenance.reidentifying import reidentification, run_of
 from hil.maintenance.scheduler import Line, Scheduler, VirtualClock
 from hil.models import Registry, friction_change
@@ -35,24 +35,15 @@ from hil.spec import ScheduleSpec
 DOCUMENT, PAGE = "simulation.json", "report.html"
 FORMAT = 1
 
-STAGES = ("probe", "campaign", "check")
-"""Runs of an occasion; each has a noise of its own."""
-
-DAYS = 2**31
-"""So many that hardly two runs ever share one."""
-
-LITTLE = timedelta(minutes=1)
-"""What is due at the very end is done."""
-
 WEEK = timedelta(weeks=1)
 
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """What an occasion meets.
+    """The conditions of an occasion.
 
     Attributes:
-        day: Since the simulation's begin.
+        day: Days since the simulation's begin.
         room_c: Temperature of the room [°C].
         wear: Factor on the friction of each joint; empty for a robot as good as new.
     """
@@ -63,27 +54,33 @@ class Conditions:
 
     @property
     def options(self) -> dict[str, Any]:
-        """Of the mock."""
+        """Options of the mock with these conditions."""
         return {"room_c": self.room_c} | ({"wear": list(self.wear)} if self.wear else {})
 
 
 def conditions(spec: ScheduleSpec, begin: datetime, occasion: Occasion) -> Conditions:
-    """What an occasion meets; the same whenever it is asked for."""
+    """Return the conditions of an occasion; the same whenever they are asked for."""
     since = occasion.due - begin
-    dice = _dice(spec, since)
-    room = round(float(dice.uniform(*spec.simulate.room_c)), 1)
-    come = [wear.factors for wear in spec.simulate.wear if wear.after <= since]
-    return Conditions(since.days, room, come[-1] if come else ())
+    room = round(float(_generator(spec, since).uniform(*spec.simulate.room_c)), 1)
+    begun = [wear.factors for wear in spec.simulate.wear if wear.after <= since]
+    return Conditions(since.days, room, begun[-1] if begun else ())
 
 
-def _dice(spec: ScheduleSpec, since: timedelta, *more: int) -> np.random.Generator:
-    return np.random.default_rng([spec.simulate.seed, int(since.total_seconds()), *more])
+STAGES = ("probe", "campaign", "check")
+"""Runs of an occasion; each has a noise of its own."""
+
+DAYS = 2**31
+"""Number of values of the mock's option `day`: so many that hardly two runs share one."""
 
 
 def noise_day(spec: ScheduleSpec, begin: datetime, occasion: Occasion, stage: str) -> int:
-    """Of the mock's option `day`: one of its own for every run, however many a day has."""
-    dice = _dice(spec, occasion.due - begin, 1 + STAGES.index(stage))
-    return int(dice.integers(DAYS))
+    """Return a value of the mock's option `day`: another one for every run of an occasion."""
+    generator = _generator(spec, occasion.due - begin, 1 + STAGES.index(stage))
+    return int(generator.integers(DAYS))
+
+
+def _generator(spec: ScheduleSpec, since: timedelta, *more: int) -> np.random.Generator:
+    return np.random.default_rng([spec.simulate.seed, int(since.total_seconds()), *more])
 
 
 def simulate(
@@ -94,40 +91,40 @@ def simulate(
     station: Path | None = None,
     tell: Callable[[Line], object] = lambda line: None,
 ) -> dict[str, Any]:
-    """Live through a schedule; see the module.
+    """Simulate a schedule for some weeks; see the module.
 
     Args:
         spec: From `load_schedule_spec`.
-        lasting: How long, from its `start`; what is due at the very end is done.
-        folder: Empty; everything goes there.
+        lasting: How long, from its `start`; an occasion that is due at the very end is done.
+        folder: Empty folder for everything that is made.
         station: In place of the one the schedule names.
-        tell: Is told every line of the ledger.
+        tell: Called with every line of the ledger.
 
     Returns:
-        What is in `simulation.json`.
+        The content of `simulation.json`.
 
     Raises:
-        SpecError: A robot is not the embedded mock, or it cannot meet these conditions.
-        HilError: Nothing could be done, for this reason.
+        SpecError: A robot is not the embedded mock, or does not have these conditions.
+        HilError: No occasion was done, for this reason.
     """
     bound = bind(spec, station)
     require_mock(bound)
     # Whole minutes, as in the ledger: the first occasion is due at the begin, not before it.
     begin = begin_of(spec, datetime.now(UTC).replace(second=0, microsecond=0))
-    moving = motions(spec, bound.probe, bound.campaign)
-    require_room(spec, moving, begin)
+    times = motions(spec, bound.probe, bound.campaign)
+    require_room(spec, times, begin)
     clock = VirtualClock(begin)
     work = reidentification(
         spec, registry=Registry(folder / "registry"), runs=folder / "runs", station=station,
         adapt=_Adapted(bound, begin, folder / "runs"),
     )  # fmt: skip
-    with kept(folder / "state", spec.name) as ledger:
-        lived = _Timed(work, clock, moving)
-        loop = Scheduler(spec, ledger, lived, clock, lasting=moving.longest, tell=tell)
-        loop.run(begin + lasting + LITTLE)
+    with open_ledger(folder / "state", spec.name) as ledger:
+        timed = _Timed(work, clock, times)
+        loop = Scheduler(spec, ledger, timed, clock, lasting=times.longest, tell=tell)
+        loop.run(begin + lasting + timedelta(minutes=1))  # with what is due at the very end
         if loop.failure is not None and not any(line["event"] == "done" for line in ledger.lines):
             raise loop.failure
-    document = _document(bound, begin, lasting, moving, ledger.lines)
+    document = _document(bound, begin, lasting, times, ledger.lines)
     document["warmth"] = _warmth(folder, bound.name, document["occasions"])
     write_replacing(folder / DOCUMENT, json_document(document))
     return document
@@ -135,20 +132,20 @@ def simulate(
 
 @dataclass(frozen=True, slots=True)
 class _Adapted:
-    """Experiments under the conditions of their occasion."""
+    """Gives experiments the conditions of their occasion; an `Adapt`."""
 
     bound: Bound
     begin: datetime
     runs: Path
 
     def __call__(self, experiment: Experiment, occasion: Occasion, stage: str) -> Experiment:
-        met = conditions(self.bound.spec, self.begin, occasion)
+        options = conditions(self.bound.spec, self.begin, occasion).options
         noise = {"day": noise_day(self.bound.spec, self.begin, occasion, stage)}
-        warm = self._after_the_campaign(occasion) if stage == "check" else {}
-        return with_options(experiment, met.options | noise | warm)
+        warm = self._warmth_of_campaign(occasion) if stage == "check" else {}
+        return with_options(experiment, options | noise | warm)
 
-    def _after_the_campaign(self, occasion: Occasion) -> dict[str, float]:
-        """The arm does not cool down between two programs."""
+    def _warmth_of_campaign(self, occasion: Occasion) -> dict[str, float]:
+        """Return the arm's temperature after the campaign: the check begins with it."""
         key = f"{self.bound.spec.name}/{occasion.id}/campaign"
         run = run_of(self.runs, self(self.bound.campaign, occasion, "campaign"), key)
         if run is None:
@@ -158,22 +155,21 @@ class _Adapted:
 
 @dataclass(frozen=True, slots=True)
 class _Timed:
-    """Work that takes the time of its motions."""
+    """Work that puts the clock forward by the duration of its motions."""
 
     work: Work
     clock: VirtualClock
-    moving: Motions
+    times: Motions
 
     def __call__(self, occasion: Occasion, folder: Path) -> Mapping[str, Any]:
-        document = self.work(occasion, folder)
-        short, full = self.moving.probe, self.moving.campaign
-        for stage in document["runs"]:
-            self.clock.advance(full if stage == "campaign" else short)
-        return document
+        result = self.work(occasion, folder)
+        for stage in result["runs"]:
+            self.clock.advance(self.times.campaign if stage == "campaign" else self.times.probe)
+        return result
 
 
 def _document(
-    bound: Bound, begin: datetime, lasting: timedelta, moving: Motions, ledger: Sequence[Line]
+    bound: Bound, begin: datetime, lasting: timedelta, times: Motions, ledger: Sequence[Line]
 ) -> dict[str, Any]:
     spec = bound.spec
     lines = [line for line in ledger if line["event"] in ("done", "failed", "missed")]
@@ -185,28 +181,36 @@ def _document(
         "begin": begin.isoformat(),
         "weeks": lasting / WEEK,
         "false_alarm": spec.false_alarm,
-        "probe_s": moving.probe.total_seconds(),
+        "probe_s": times.probe.total_seconds(),
         "warm_up_s": bound.probe.spec.warm_up.duration_s if bound.probe else 0.0,
-        "campaign_s": moving.campaign.total_seconds(),
+        "campaign_s": times.campaign.total_seconds(),
         "simulate": spec.simulate.model_dump(mode="json"),
         "wear_weeks": [each.after / WEEK for each in spec.simulate.wear],
-        "occasions": [_lived(spec, begin, line) for line in lines],
+        "occasions": [_occasion_document(spec, begin, line) for line in lines],
     }
 
 
-def _lived(spec: ScheduleSpec, begin: datetime, line: Line) -> dict[str, Any]:
+def _occasion_document(spec: ScheduleSpec, begin: datetime, line: Line) -> dict[str, Any]:
     occasion = occasion_of(line["occasion"])
     met = conditions(spec, begin, occasion)
-    told = {"id": occasion.id, "job": occasion.job, "week": (occasion.due - begin) / WEEK}
-    told |= {"day": met.day, "room_c": met.room_c, "wear": list(met.wear), "event": line["event"]}
-    return told | {"why": line.get("why", ""), "result": line.get("result")}
+    return {
+        "id": occasion.id,
+        "job": occasion.job,
+        "week": (occasion.due - begin) / WEEK,
+        "day": met.day,
+        "room_c": met.room_c,
+        "wear": list(met.wear),
+        "event": line["event"],
+        "why": line.get("why", ""),
+        "result": line.get("result"),
+    }
 
 
 def _warmth(folder: Path, name: str, occasions: Sequence[Mapping[str, Any]]) -> Any:
-    """What warmth does to friction over the probe's motion, by the first champion's law.
+    """Return what warmth does to friction over the probe's motion, by the first champion's law.
 
     Once from the beginning to the end of the first campaign, once from the coldest moment of all
-    runs to the warmest; None where that is not known.
+    runs to the warmest; None if that is not known.
     """
     runs = [each["result"]["runs"] for each in occasions if each["result"]]
     probe = next((each["probe"] for each in runs if "probe" in each), None)
@@ -235,16 +239,16 @@ def _warmth(folder: Path, name: str, occasions: Sequence[Mapping[str, Any]]) -> 
 
 
 def _temperatures(run: Path) -> FloatArray | None:
-    """(N, n) of the joints; None where they were not recorded."""
+    """Return the (N, n) temperatures of the joints [°C]; None if they were not recorded."""
     data = load_source(run)
     return data["temperature"] if "temperature" in data.columns else None
 
 
 def require_mock(bound: Bound) -> None:
-    """Refuse to play with time on anything but the embedded mock, under conditions it can meet.
+    """Raise if a robot is not the embedded mock, whose time can be put forward, or refuses options.
 
     Raises:
-        SpecError: A robot is another one, or does not know such conditions.
+        SpecError: A robot is another one, or does not have such conditions.
     """
     for experiment in bound.experiments:
         robot, name = experiment.robot, experiment.spec.robot
@@ -264,10 +268,10 @@ def require_mock(bound: Bound) -> None:
 
 
 def with_options(experiment: Experiment, options: Mapping[str, Any]) -> Experiment:
-    """The same experiment with some of its robot's driver options changed.
+    """Return an experiment with some driver options of its robot changed.
 
-    The station that is copied into the run directory says so, too: whoever goes on with the run
-    has the same robot.
+    The station that is copied into the run directory has them, too, so that a resumed run has the
+    same robot.
 
     Args:
         experiment: From `hil.planning.load`.

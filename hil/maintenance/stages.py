@@ -1,9 +1,8 @@
-"""Stages that build on each other: what is done is not done again, also after a crash.
+"""Stages that build on each other: a stage that is done is not done again, also after a crash.
 
-    FOLDER/stages/NAME.json
-
-What came of a stage, and a hash of what it was made from: its own settings and what came of the
-stages it needs. While both agree it stays; otherwise it and everything after it is made anew.
+`FOLDER/stages/NAME.json` has the result of a stage, and a hash of its inputs: its own settings and
+the results of the stages it needs. As long as the hash is the same the result stays; otherwise the
+stage and everything after it is done again. A damaged file counts as not done.
 """
 
 from __future__ import annotations
@@ -26,13 +25,14 @@ FORMAT = 1
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """One thing to be done.
+    """One stage.
 
     Attributes:
-        name: Of its document.
-        do: Does it; given the documents of the stages it needs, by name. It may be called again
-            after a crash, so that what must not happen twice has to be looked for first.
-        needs: Names of stages before it.
+        name: Of the stage and its file.
+        do: Does it, and returns its result; called with the results of the stages it needs, by
+            name. It may be called again after a crash, so that it has to look first for what must
+            not happen twice.
+        needs: Names of the stages whose results it uses.
         inputs: What else it depends on, as JSON; a path stands for the content of its file.
     """
 
@@ -43,33 +43,47 @@ class Stage:
 
 
 def run_stages(stages: Sequence[Stage], folder: Path) -> dict[str, Document]:
-    """Do what is not done yet, in the order of needs.
+    """Do the stages that are not done yet, in the order of their needs.
 
     Args:
         stages: Of distinct names.
-        folder: Their documents are kept in `stages` below it.
+        folder: Their results are stored in `stages` below it.
 
     Returns:
-        The documents of all, by name.
+        The results of all stages, by name.
 
     Raises:
-        ValueError: A stage needs one that there is not, or, by a detour, itself.
-        RecordingError: A document cannot be written.
+        ValueError: A stage needs one that does not exist, or (by way of others) itself.
+        RecordingError: A result cannot be written.
         HilError: What a stage raises.
     """
-    home = folder / FOLDER
-    done: dict[str, Document] = {}
+    results: dict[str, Document] = {}
     marks: dict[str, str] = {}
     for stage in _ordered(stages):
-        key = _key(stage, marks)
-        path = home / f"{stage.name}.json"
-        document = _kept(path, key)
-        if document is None:
-            document = _plain(stage.do({name: done[name] for name in stage.needs}))
-            _keep(path, stage.name, key, document)
-        done[stage.name] = document
-        marks[stage.name] = _digest([key, document])
-    return done
+        # The mark of a needed stage covers its inputs, too: a result that came out equal from
+        # other inputs is another one.
+        needed = {name: marks[name] for name in stage.needs}
+        key = _digest([stage.name, _contents(stage.inputs), needed])
+        path = _file_of(folder, stage.name)
+        stored = _read(path)
+        if stored is not None and stored.get("inputs_sha256") == key:
+            result: Document = stored["document"]
+        else:
+            result = _plain(stage.do({name: results[name] for name in stage.needs}))
+            _write(path, stage.name, key, result)
+        results[stage.name] = result
+        marks[stage.name] = _digest([key, result])
+    return results
+
+
+def stored_result(folder: Path, name: str) -> Document | None:
+    """Return the result of a stage, whatever its inputs were; None if it was not done."""
+    stored = _read(_file_of(folder, name))
+    return stored and stored["document"]
+
+
+def _file_of(folder: Path, name: str) -> Path:
+    return folder / FOLDER / f"{name}.json"
 
 
 def _ordered(stages: Sequence[Stage]) -> list[Stage]:
@@ -86,23 +100,18 @@ def _ordered(stages: Sequence[Stage]) -> list[Stage]:
         raise ValueError(f"stages need each other: {' → '.join(error.args[1])}") from error
 
 
-def _key(stage: Stage, marks: Mapping[str, str]) -> str:
-    """Of what a stage is made from; of a stage before it counts also what that was made from."""
-    needed = {name: marks[name] for name in stage.needs}
-    return _digest([stage.name, _contents(stage.inputs), needed])
-
-
 def _digest(value: Any) -> str:
     text = json.dumps(_plain(value), sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _plain(value: Any) -> Any:
-    """As it reads back from the disk: the first time is like any other."""
+    """Return a value as it reads back from the disk: the first time is like any other."""
     return json.loads(json_line(value))
 
 
 def _contents(value: Any) -> Any:
+    """Return inputs with the digests of files in place of their paths."""
     if isinstance(value, Path):
         return {"sha256": sha256_of(value)}
     if isinstance(value, Mapping):
@@ -112,38 +121,27 @@ def _contents(value: Any) -> Any:
     return value
 
 
-def _kept(path: Path, key: str) -> Document | None:
-    told = _read(path)
-    return told["document"] if told and told.get("inputs_sha256") == key else None
-
-
 def _read(path: Path) -> Document | None:
-    """A whole stage file; None where there is none, or a damaged one."""
+    """Return the content of a stage file; None if it is missing or damaged."""
     try:
-        told = json.loads(path.read_bytes())
-        document = told["document"]
-        whole = told["hil_stage"] == FORMAT and told["document_sha256"] == _digest(document)
+        stored: Document = json.loads(path.read_bytes())
+        result = stored["document"]
+        whole = stored["hil_stage"] == FORMAT and stored["document_sha256"] == _digest(result)
     except (OSError, ValueError, TypeError, KeyError, RecursionError):
         return None
-    return told if whole and isinstance(document, dict) else None
+    return stored if whole and isinstance(result, dict) else None
 
 
-def _keep(path: Path, name: str, key: str, document: Document) -> None:
-    told = {
+def _write(path: Path, name: str, key: str, result: Document) -> None:
+    content = {
         "hil_stage": FORMAT, "stage": name, "inputs_sha256": key,
-        "document_sha256": _digest(document), "document": document,
+        "document_sha256": _digest(result), "document": result,
     }  # fmt: skip
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(path, json_document(told))
+        write_whole(path, json_document(content))
     except OSError as error:
         raise RecordingError(
             f"cannot write {path}: {error.strerror or error}",
             hint="see whether the folder may be written to and the disk has room",
         ) from error
-
-
-def kept_document(folder: Path, name: str) -> Document | None:
-    """What came of a stage, whatever it was made from; None if it was not done."""
-    told = _read(folder / FOLDER / f"{name}.json")
-    return told and told["document"]

@@ -1,4 +1,4 @@
-"""Units for labs that prefer systemd: a service that stays, or a timer that calls one."""
+"""systemd units of a schedule: a service that keeps running, or a timer that starts one."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from pathlib import Path
 from hil.core import RecordingError, SpecError, user_name, write_replacing
 
 CALL_EVERY_MIN = 5
-"""The timer calls so often; what is due is the schedule's to say, and not twice."""
+"""Interval of the timer; what is due is decided by the schedule [min]."""
 
 STOP_WITHIN_S = 120
-"""Longest time that a robot is given to come to rest and a recording to be closed [s]."""
+"""Longest time that a robot has to come to rest and a recording to be closed [s]."""
 
 HANDED_ON = ("HIL_LEASES", "HIL_STATION")
-"""What the environment says beside the options of the command."""
+"""Environment variables that the service gets as they are here."""
 
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """A file for systemd.
+    """A unit file.
 
     Attributes:
         name: Of the file.
-        text: What is in it.
+        text: Its content.
     """
 
     name: str
@@ -76,26 +76,26 @@ WantedBy=timers.target
 def units_of(
     name: str, arguments: tuple[str, ...], folder: Path, *, timer: bool, user: bool
 ) -> list[Unit]:
-    """The units of a schedule.
+    """Return the units of a schedule.
 
     Args:
         name: Of the schedule.
-        arguments: Of `hil schedule run`, paths absolute.
-        folder: Where it works.
-        timer: A timer that calls it, in place of a service that stays.
-        user: For `systemctl --user`.
+        arguments: Of `hil schedule run`, with absolute paths.
+        folder: Its working directory.
+        timer: Whether a timer starts the service, in place of a service that keeps running.
+        user: Whether the units are for `systemctl --user`.
 
     Raises:
         SpecError: A path has characters that a unit cannot have.
     """
     command = (sys.executable, "-P", "-m", "hil", "schedule", "run", *arguments)
     words = " ".join(_quoted(word) for word in (*command, *(("--once",) if timer else ())))
-    wanted = "default.target" if user else "multi-user.target"
+    target = "default.target" if user else "multi-user.target"
     unit = f"hil-{name}"
     service = _SERVICE.format(
         name=name,
         kind="oneshot" if timer else "exec",
-        # Leases are kept per user: the schedule must be the one who also runs things by hand.
+        # Leases are per user: the schedule must run as the user who also runs experiments by hand.
         owner="" if user else f"User={user_name()}\n",
         environment="".join(
             f"Environment={_quoted(f'{key}={os.environ[key]}')}\n"
@@ -107,7 +107,7 @@ def units_of(
         stop_s=STOP_WITHIN_S,
         restart="" if timer else _RESTART,
         limits="" if timer else _LIMITS,
-        install="" if timer else f"\n[Install]\nWantedBy={wanted}\n",
+        install="" if timer else f"\n[Install]\nWantedBy={target}\n",
     )
     units = [Unit(f"{unit}.service", service)]
     if timer:
@@ -116,7 +116,7 @@ def units_of(
 
 
 def _quoted(word: str) -> str:
-    """A word of ExecStart: quoted, with `%` and `$` as themselves."""
+    """Return a word of ExecStart: quoted, with `%` and `$` as themselves."""
     _require_plain(word)
     word = word.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%")
     word = word.replace("$", "$$")
@@ -131,13 +131,13 @@ def _require_plain(text: str) -> None:
 
 
 def _path(path: Path) -> str:
-    """A path as a setting: to the end of the line, `%` as itself."""
+    """Return a path as a setting: unquoted, with `%` as itself."""
     _require_plain(str(path))
     return str(path).replace("%", "%%")
 
 
 def write_units(units: list[Unit], folder: Path) -> list[Path]:
-    """Write them into a folder, which is made when missing.
+    """Write units into a folder, which is made when missing; return the files.
 
     Raises:
         RecordingError: They cannot be written.
@@ -154,15 +154,15 @@ def write_units(units: list[Unit], folder: Path) -> list[Path]:
 
 
 def next_words(units: list[Unit], folder: Path, *, user: bool) -> list[str]:
-    """What to type then."""
+    """Return the commands that install and start the units."""
     flag, where = (" --user", "~/.config/systemd/user/") if user else ("", "/etc/systemd/system/")
     files = " ".join(shlex.quote(str(folder / unit.name)) for unit in units)
-    told = [
+    commands = [
         f"systemd-analyze{flag} verify {files}",
         f"install -m 644 {files} {where}",
         f"systemctl{flag} daemon-reload",
         f"systemctl{flag} enable --now {units[-1].name}",
     ]
-    return told + (
+    return commands + (
         ["loginctl enable-linger  # it is to run while nobody is logged in"] if user else []
     )
