@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from hil.core.errors import DataError, RecordingError
-from hil.maintenance.stages import FOLDER, Document, Stage, stored_result, run_stages
+from hil.maintenance.stages import FOLDER, Document, Stage, run_stages, stored_result
 
 pytestmark = pytest.mark.quick
 

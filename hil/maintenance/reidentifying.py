@@ -39,7 +39,7 @@ from hil.evaluation import evaluate, usable_part
 from hil.importers import load_source
 from hil.maintenance.binding import Bound, bind, bind_file, not_honest
 from hil.maintenance.ledger import Job, Ledger, Occasion, Work, occasion_of, open_ledger
-from hil.maintenance.stages import Document, Stage, stored_result, run_stages
+from hil.maintenance.stages import Document, Stage, run_stages, stored_result
 from hil.models import Entry, Registry, assess, challenge, facts_of, probes_of
 from hil.planning import Experiment, held, opened
 from hil.recording import RunDirectory, recordings_in, run_folders, utc_now
