@@ -1,4 +1,4 @@
-"""A run group: runs that were started together, as a series or as a fleet, and what came of each.
+"""A run group: runs that were started together, as a series or a fleet, and how each ended.
 
 ::
 
@@ -97,7 +97,9 @@ class Member:
         report = {key: value for key, value in entry.items() if key not in own}
         document, error = entry.get("error"), None
         if isinstance(document, dict):
-            kind = getattr(errors, str(document.get("kind")), HilError)
+            kind = getattr(errors, str(document.get("kind")), None)
+            if not (isinstance(kind, type) and issubclass(kind, HilError)):
+                kind = HilError
             error = kind(str(document.get("message")), hint=str(document.get("hint") or ""))
         return cls(str(entry.get("experiment")), str(entry.get("robot")), report, error)
 
@@ -172,7 +174,7 @@ class RunGroup:
     @classmethod
     def is_at(cls, path: Path) -> bool:
         """Return whether a group of this kind was started in a folder."""
-        return cls.document_in(path).is_file()
+        return os.path.isfile(cls.document_in(path))  # False if the folder may not be entered
 
     @classmethod
     def folders(cls, runs: Path) -> list[Path]:
@@ -364,12 +366,12 @@ class FleetGroup(RunGroup):
     def run_of(self, robot: str) -> Path | None:
         """Return the newest run of a robot for this fleet, by what the runs themselves say."""
         mine = self.spec_of(robot).parts[-5:]  # runs may have been moved together since
-        found = [
+        runs = [
             run
             for run in run_folders(self.runs)
             if run.parent.name == name_for_path(robot) and _spec_named_by(run).parts[-5:] == mine
         ]
-        return max(found, key=lambda run: run.name, default=None)
+        return max(runs, key=lambda run: run.name, default=None)
 
     @staticmethod
     def place_named_by(run: Path) -> tuple[str, ...]:
