@@ -15,7 +15,6 @@ import pytest
 
 from hil.core import json_document, plugins
 from hil.core.errors import FitError, SpecError
-from hil.core.files import json_document
 from hil.data.dataset import Dataset
 from hil.dynamics import RobotModel
 from hil.studies.base import GROUP, Ended, Progress, Study, silent, tell_ended

@@ -27,7 +27,7 @@ from hil.report import render_report
 from hil.robot import Capabilities, Identity, Limits, Listens, Robot
 from hil.robot.state import Status, Topic
 from hil.workflow import passive_recording
-from hil.workflow.passive_recording import Wanted, fit_notes, listen
+from hil.workflow.passive_recording import RecordingRequest, fit_notes, record_passively
 
 BLOCK = 10
 LATER_S = 3.0
@@ -109,7 +109,7 @@ def use(monkeypatch):
 def recorded(tmp_path: Path, told: list[str] | None = None, **wanted):
     runs = tmp_path / "runs"
     tell = (told if told is not None else []).append
-    return listen(Wanted("ur5", **wanted), station=None, runs=runs, tell=tell)
+    return record_passively(RecordingRequest("ur5", **wanted), station=None, runs=runs, tell=tell)
 
 
 def test_the_fake_is_what_the_protocol_says():
@@ -235,7 +235,7 @@ def test_a_driver_that_cannot_listen_says_so(tmp_path):
 
 def test_an_unknown_robot_says_which_there_are(tmp_path):
     with pytest.raises(SpecError, match="has no robot 'ur55'"):
-        listen(replace(Wanted("ur55")), station=None, runs=tmp_path, tell=print)
+        record_passively(replace(RecordingRequest("ur55")), station=None, runs=tmp_path, tell=print)
 
 
 @pytest.mark.quick

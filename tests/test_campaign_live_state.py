@@ -161,7 +161,7 @@ def test_one_part_that_cannot_be_told_hides_no_other(tmp_path: Path) -> None:
             return Margin(1.0, 2.0, "m", 0.5, joint=-1)
 
     view = ArmView(ROBOT, [])
-    view._watching = [Broken(), Whole()]  # type: ignore[list-item]
+    view._interlocks = [Broken(), Whole()]  # type: ignore[list-item]
     live = LiveState(tmp_path, view)
     live.notify({"kind": "rows", "rows": rows(1)})
     (whole,) = read_live(tmp_path)["interlocks"]

@@ -29,7 +29,7 @@ from hil.recording.mcap_reader import read_topic
 from hil.recording.recorder import Recorder
 from hil.recording.run_directory import RunDirectory
 from hil.workflow import operator, resuming
-from hil.workflow.judging import FOLDER
+from hil.workflow.judging import TRAINING
 from hil.workflow.live_state import LIVE_FILE, read_live
 from hil.workflow.remote_control import stop_run
 
@@ -226,10 +226,10 @@ def test_a_run_whose_fit_was_killed_is_fitted_without_moving(tmp_path: Path) -> 
 
 def test_trainings_that_a_kill_left_after_the_verdict_are_forgotten(tmp_path: Path) -> None:
     run = hil.run(hil.load(small_spec(tmp_path, FITTED)), runs=tmp_path / "runs").run
-    (run / FOLDER / "lagrangian-0123456789ab").mkdir(parents=True)
+    (run / TRAINING / "lagrangian-0123456789ab").mkdir(parents=True)
     with pytest.raises(DataError, match="judged"):
         hil.resume(run)
-    assert not (run / FOLDER).exists()
+    assert not (run / TRAINING).exists()
 
 
 def test_nobody_else_resumes_a_run_that_is_being_resumed(

@@ -22,7 +22,7 @@ from hil.networks.training import KeptIfPossible, Told
 from hil.recording.run_directory import RunDirectory
 from hil.spec.experiment import Fit
 from hil.spec.load import load_spec
-from hil.workflow.judging import FOLDER, FitNews, fit_or_go_on, judge_and_study, judge_run
+from hil.workflow.judging import TRAINING, FitNews, fit_or_continue, judge_and_study, judge_run
 
 EPOCHS = 3
 
@@ -91,10 +91,10 @@ def test_an_interrupted_training_is_gone_on_with_and_forgotten_once_there_is_a_v
 ) -> None:
     run = run_with(tmp_path, "trained")
     interrupted(run, monkeypatch)
-    assert (run.path / FOLDER).is_dir()
+    assert (run.path / TRAINING).is_dir()
     judged(run)
     assert Trained.begun_at == [0, 2]
-    assert not (run.path / FOLDER).exists()
+    assert not (run.path / TRAINING).exists()
 
 
 def test_other_parameters_are_another_training(
@@ -116,7 +116,7 @@ def test_a_training_that_cannot_be_gone_on_with_is_begun_anew(
 ) -> None:
     run = run_with(tmp_path, "trained")
     interrupted(run, monkeypatch)
-    (kept,) = (run.path / FOLDER).glob("*/checkpoint.json")
+    (kept,) = (run.path / TRAINING).glob("*/checkpoint.json")
     kept.write_text("of another version", "utf-8")
     told = judged(run)
     assert Trained.begun_at == [0, 0]
@@ -131,7 +131,7 @@ FIT = Fit(estimator="trained")
 def kept_in(run: Path) -> Path:
     """A fit of two trainings; its folder."""
     made: list[Any] = []
-    fit_or_go_on(run, FIT, made.append, print)  # type: ignore[arg-type]
+    fit_or_continue(run, FIT, made.append, print)  # type: ignore[arg-type]
     for name in ("one", "two"):
         (made[0] / name).mkdir(parents=True)
     folder: Path = made[0]
@@ -146,7 +146,7 @@ def test_only_the_training_that_is_refused_is_begun_anew(tmp_path: Path) -> None
             raise CheckpointRefused("it is damaged", folder=folder / "one")
         return "fitted"
 
-    assert fit_or_go_on(tmp_path, FIT, make, notes.append) == "fitted"
+    assert fit_or_continue(tmp_path, FIT, make, notes.append) == "fitted"
     assert [one.name for one in folder.iterdir()] == ["two"]
     assert notes == ["it is damaged; this training begins anew"]
 
@@ -161,7 +161,7 @@ def test_any_other_error_leaves_the_trainings_as_they_are(tmp_path: Path, where:
         raise DataError("there is no space left")
 
     with pytest.raises(DataError):
-        fit_or_go_on(tmp_path, FIT, make, notes.append)
+        fit_or_continue(tmp_path, FIT, make, notes.append)
     assert {one.name for one in folder.iterdir()} == {"one", "two"}
     assert notes == []
 
@@ -171,7 +171,7 @@ def test_a_training_that_is_refused_twice_is_an_error(tmp_path: Path) -> None:
         raise CheckpointRefused("it cannot be removed", folder=folder)
 
     with pytest.raises(CheckpointRefused):
-        fit_or_go_on(tmp_path, FIT, make, print)
+        fit_or_continue(tmp_path, FIT, make, print)
 
 
 def test_a_full_disk_is_told_once_and_the_fit_goes_on(tmp_path: Path) -> None:

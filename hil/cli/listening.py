@@ -10,7 +10,7 @@ from hil.cli.runs import fail
 from hil.core import SpecError
 
 if TYPE_CHECKING:
-    from hil.workflow import Listened
+    from hil.workflow import PassiveResult
 
 PROGRAM_STOPS = "program-stops"
 
@@ -44,9 +44,9 @@ def record(
     """Record a robot that somebody else drives; Ctrl-C ends it, too. Nothing is commanded."""
     from hil.arms import parse_payload
     from hil.engine import ignore_from_now_on
-    from hil.workflow import Wanted, listen
+    from hil.workflow import RecordingRequest, record_passively
 
-    wanted = Wanted(
+    request = RecordingRequest(
         robot=robot,
         name=name,
         for_s=_seconds(for_),
@@ -54,7 +54,9 @@ def record(
         payload=parse_payload(payload) if payload else None,
         operator=operator,
     )
-    found = listen(wanted, station=station, runs=runs, tell=lambda line: typer.echo(line, err=True))
+    found = record_passively(
+        request, station=station, runs=runs, tell=lambda line: typer.echo(line, err=True)
+    )
     ignore_from_now_on()
     if json:
         print_json(found.to_dict())
@@ -64,7 +66,7 @@ def record(
         fail(found.error, json)
 
 
-def _tell(found: "Listened") -> None:
+def _tell(found: "PassiveResult") -> None:
     steps = ", ".join(f"{kind}: {count}" for kind, count in found.steps.items()) or "nothing"
     typer.echo(f"{found.run}: {found.reason}")
     typer.echo(

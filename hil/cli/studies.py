@@ -11,7 +11,7 @@ from hil.cli.runs import RunArgument, fail
 from hil.core import Stopped
 
 if TYPE_CHECKING:
-    from hil.workflow import Studied
+    from hil.workflow import StudiesReport
 
 
 def register(app: typer.Typer) -> None:
@@ -89,7 +89,7 @@ def figures(
         typer.echo(str(file))
 
 
-def _tell(done: "Studied", page: Path, json: bool) -> None:
+def _tell(done: "StudiesReport", page: Path, json: bool) -> None:
     from hil.cli.study_tables import print_study
 
     if json:

@@ -1,4 +1,4 @@
-"""Versions of models: immutable, compared before promotion, and always there to go back to.
+"""Versions of models: immutable, compared before promotion, and kept for going back to.
 
 ``REGISTRY/NAME/v0001/`` is a version: model files, and `version.json`, what it is, with digests.
 ``REGISTRY/NAME/log.jsonl`` says what was done, line by line: the truth about champions.

@@ -376,7 +376,8 @@ def is_run(path: Path) -> bool:
 
     The folders of series and fleets lie where runs lie, and are none.
     """
-    return number_of(path) > 0 or (path / "start.json").exists()
+    # `Path.exists` raises for a folder of another user that may not be entered.
+    return number_of(path) > 0 or os.path.exists(path / "start.json")
 
 
 def run_folders(runs_root: Path) -> list[Path]:

@@ -1,4 +1,4 @@
-"""Runs found, exported and let go: a view of run directories that can always be made anew."""
+"""Lists, queries and retention of runs: views of run directories that can always be made anew."""
 
 import lazy_loader
 

@@ -198,7 +198,7 @@ def _document(path: Path) -> dict[str, Any] | None:
     """Return a JSON document; None if the file is missing or damaged, as no view fails for that."""
     try:
         return read_json(path) if path.is_file() else None
-    except DataError:
+    except (DataError, OSError):
         return None
 
 
@@ -250,7 +250,7 @@ def _number_in(document: Mapping[str, Any], key: str) -> float | None:
 def entry_of(listing: RunListing) -> dict[str, Any]:
     """Return an entry of `list_runs`, but for `next`."""
     stop: dict[str, Any] = {}
-    with contextlib.suppress(DataError):
+    with contextlib.suppress(DataError, OSError):
         stop = RunDirectory(listing.path).stop or {}
     return {
         "run": str(listing.path),

@@ -38,9 +38,9 @@ from .operator import ConsoleOperator as ConsoleOperator
 from .operator import Desk as Desk
 from .operator import console_desk as console_desk
 from .operator import prompts_of as prompts_of
-from .passive_recording import Listened as Listened
-from .passive_recording import Wanted as Wanted
-from .passive_recording import listen as listen
+from .passive_recording import PassiveResult as PassiveResult
+from .passive_recording import RecordingRequest as RecordingRequest
+from .passive_recording import record_passively as record_passively
 from .preview import WITHOUT_THE_ROBOT as WITHOUT_THE_ROBOT
 from .preview import appraise_excitation as appraise_excitation
 from .preview import plan as plan
@@ -72,7 +72,7 @@ from .series import commissioning_of_series as commissioning_of_series
 from .series import load_series as load_series
 from .series import run_series as run_series
 from .studies import STUDY as STUDY
-from .studies import Studied as Studied
+from .studies import StudiesReport as StudiesReport
 from .studies import entries_for as entries_for
 from .studies import missing_studies as missing_studies
 from .studies import run_studies as run_studies

@@ -1,16 +1,16 @@
-"""Real robots that move without a person at each motion: named in a file, confirmed once.
+"""Confirmation of motion without an operator at each run: robots named in a file, confirmed once.
 
 A schedule, a series and a fleet run experiments one after the other or at the same time. Their file
 names every real robot with its address (`robots: {ur5: 192.168.0.5}`). A series and a fleet are
-confirmed when they are started, all robots at once; a schedule is armed, and the record beside its
-ledger holds until its file, an experiment, the robot's entry in the station, or the description of
-its arm changes. Each run compares again before it moves: files change while a schedule is running.
+confirmed when they are started, all robots at once (`confirm_together`). A schedule is armed
+(`arm`), and the record beside its ledger holds until its file, an experiment, the robot's entry in
+the station, or the description of its arm changes. Each run compares again before it moves, as
+files may change while a schedule is running.
 """
 
 from __future__ import annotations
 
 import hashlib
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -34,8 +34,6 @@ from hil.robot import UNKNOWN, address_of
 from hil.spec import spec_hash
 from hil.workflow.console import Console
 from hil.workflow.motion_confirmation import (
-    ANSWER_WITHIN_S,
-    LOOK_EVERY_S,
     TYPED,
     Confirm,
     Granted,
@@ -43,6 +41,7 @@ from hil.workflow.motion_confirmation import (
     Unconfirmed,
     digest_of,
     motion_facts,
+    typed_line,
 )
 from hil.workflow.preview import planned
 
@@ -58,7 +57,7 @@ NOT_INCLUDED = (
 
 @dataclass(frozen=True, slots=True)
 class Moves:
-    """What a schedule, a series or a fleet would move.
+    """The motions of a schedule, a series or a fleet.
 
     Attributes:
         file: File that names the robots and their addresses.
@@ -86,7 +85,7 @@ class Moves:
                 with opened(name, experiment.robot) as robot:
                     at = address_of(robot)
             except (HilError, TypeError, ValueError):
-                continue  # its own run says what is wrong, and does not move it unconfirmed
+                continue  # its run reports that, and moves no robot that was not confirmed
             if not at.real:
                 continue
             if at.text == UNKNOWN:
@@ -133,13 +132,13 @@ class Rechecked:
 
 @dataclass(frozen=True, slots=True)
 class Together:
-    """What was confirmed at the start of a series or a fleet.
+    """The confirmation of a series or a fleet, given at its start.
 
     Attributes:
         file: File that names the robots and their addresses.
         named: Name of a robot → address, as in the file.
         how: `typed` or `--yes`.
-        by: Who confirmed.
+        by: User who confirmed.
         digests: Of each experiment that moves a real robot.
     """
 
@@ -150,13 +149,13 @@ class Together:
     digests: tuple[Mapping[str, str], ...]
 
     def begin(self, experiment: Experiment) -> Confirm:
-        """Return the confirmation of an experiment, as it was when it was confirmed."""
+        """Return the confirmation of an experiment; it holds while the experiment is unchanged."""
         return Rechecked(partial(self._granted, experiment))
 
     def resume(self, robot: str, run: Path) -> Confirm:
         """Return the confirmation of a run that was begun and confirmed earlier.
 
-        Names are typed for runs that begin; `--yes` is for all robots that the file names.
+        A typed name is for the runs that begin; `--yes` is for all robots that the file names.
         """
         if self.how != TYPED and robot in self.named:
             return self._at(robot)
@@ -186,10 +185,10 @@ class Together:
 def confirm_together(
     moves: Moves, *, who: str = "", yes: bool = False, console: Console | None = None
 ) -> Together:
-    """Return the confirmation of every real robot, given here and now.
+    """Confirm the motion of every real robot now, and return the confirmation.
 
     Args:
-        moves: What is about to be run.
+        moves: Of the series or fleet.
         who: Recorded; by default the user of this process.
         yes: Confirm without asking.
         console: Where the names are typed; by default the terminal of this process.
@@ -213,7 +212,7 @@ def arm(
     yes: bool = False,
     console: Console | None = None,
 ) -> Document | None:
-    """Confirm once what a schedule moves from now on, and record it.
+    """Confirm the motions of a schedule from now on, and record that.
 
     Args:
         moves: Of the schedule.
@@ -224,7 +223,7 @@ def arm(
         console: Where the names are typed; by default the terminal of this process.
 
     Returns:
-        What was recorded; None where nothing real would move.
+        The record; None if no real robot would move.
 
     Raises:
         SpecError: The file does not name a robot with its address.
@@ -252,7 +251,7 @@ def arm(
 
 
 def require_armed(moves: Moves, folder: Path) -> Confirm | None:
-    """Return the confirmation of a schedule that is armed; None where nothing real would move.
+    """Return the confirmation of a schedule that is armed; None if no real robot would move.
 
     It holds for as long as the schedule is armed: record and files are read again before each
     motion.
@@ -297,7 +296,7 @@ def _armed(moves: Moves, folder: Path, robot: str) -> Granted:
 
 
 def read_armed(folder: Path) -> Document | None:
-    """Return the record of an armed schedule; None where it was never armed.
+    """Return the record of an armed schedule; None if it is not armed.
 
     Raises:
         DataError: The record is damaged.
@@ -328,7 +327,7 @@ def _answers(
     purpose: str,
     facts: Sequence[MotionFacts] = (),
 ) -> dict[str, Document]:
-    """Return how, by and address of every real robot; a name is typed for each."""
+    """Ask for the name of every real robot; return `how`, `by` and `address` of each."""
     by = who or this_user()
     if not (real := moves.real()):
         return {}
@@ -346,11 +345,11 @@ def _answers(
     for name in robots:
         console.forget_typed()
         console.say(ask=f"type {name} to {purpose}, Enter to leave all where they are: ")
-        if _typed(console) != name:
+        if typed_line(console) != name:
             raise NotConfirmed(
                 f"{name} was not confirmed; nothing has moved", hint=f"start again and type {name}"
             )
-    return {name: {"how": "typed", "by": by, "address": at} for name, at in robots.items()}
+    return {name: {"how": TYPED, "by": by, "address": at} for name, at in robots.items()}
 
 
 def _facts(moves: Moves) -> list[MotionFacts]:
@@ -372,14 +371,6 @@ def _show(console: Console, facts: Iterable[MotionFacts]) -> None:
     if checklist:
         must = [f"  [ ] {item}" for item in checklist]
         console.show(["The names also confirm that:", *must])
-
-
-def _typed(console: Console) -> str:
-    deadline = time.monotonic() + ANSWER_WITHIN_S
-    while console.present and time.monotonic() < deadline:
-        if (line := console.line(LOOK_EVERY_S)) is not None:
-            return line
-    return ""
 
 
 def _digests(moves: Moves) -> dict[str, str]:

@@ -1,7 +1,8 @@
-"""Start runs that outlive whoever starts them, each a `hil run` of its own, and list them.
+"""Runs in processes of their own, started by the dashboard: start, resume, list and cancel them.
 
-Such a run need not have a run directory yet. `RUNS/.started/ID.json` says what was started, and
-`ID.log` is what it prints: a run that dies before it has a run directory is heard of nowhere else.
+Each is a `hil run` or `hil resume` in a session of its own, which outlives the process that starts
+it. `RUNS/.started/ID.json` says what was started, and `ID.log` is what it prints: a run that fails
+before it has a run directory leaves no other trace.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -44,12 +45,6 @@ from hil.workflow.remote_control import stop_run
 from hil.workflow.resuming import require_resumable
 from hil.workflow.series import load_series
 
-CONFIRMED = ".confirmed"
-"""Suffix of the JSON file with the confirmed facts, beside the record of a start."""
-
-KEPT = 20
-"""Of so many starts records and logs are kept."""
-
 
 def check_start(
     spec: Path,
@@ -57,7 +52,7 @@ def check_start(
     overrides: Mapping[str, str] | None = None,
     commissioning: Commissioning | None = None,
 ) -> tuple[Experiment, ...]:
-    """What would be run: one experiment, or those of a series.
+    """Return what would be run: one experiment, or those of a series.
 
     Args:
         spec: An experiment or a series.
@@ -104,10 +99,10 @@ def start_run(
         spec: An experiment or a series.
         runs: The folder of runs.
         station: Its file; by default the one `hil run` would use.
-        operator: Who asks; recorded as who is at the robot.
+        operator: Name of the operator; recorded.
         overrides: Laid over the spec, YAML text by dotted path.
-        speed: Share of the speed; see `hil.planning.commissioning.commissioning_of`.
-        first: How much of the program; see there, too.
+        speed: Share of the speed, see `hil.planning.commissioning.commissioning_of`.
+        first: How much of the program is run, see there.
         confirmed: `MotionFacts.to_dict` of the motion that the operator confirmed; without it, or
             if the run's motion differs from it, a real robot does not move.
 
@@ -126,6 +121,9 @@ def start_run(
 
 
 FOLDER = ".started"
+
+CONFIRMED = ".confirmed"
+"""Suffix of the JSON file with the confirmed facts, beside the record of a start."""
 
 
 def _start(
@@ -155,7 +153,7 @@ def _start(
         )
     process = begin(command, folder / f"{name}.log")
     ticks = ticks_of(process.pid)
-    # Whoever started it hears of its end, so that none is left as a zombie.
+    # Waited for, so that none is left as a zombie.
     threading.Thread(target=process.wait, name="hil-started", daemon=True).start()
     started = Started(
         id=name, runs=str(runs), spec=str(what), station=str(station or ""), operator=operator,
@@ -164,13 +162,17 @@ def _start(
     try:
         write_replacing(folder / f"{name}.json", json_document(asdict(started)))
     except RecordingError:
-        process.terminate()  # nobody would hear of it again
+        process.terminate()  # without a record it could neither be listed nor cancelled
         raise
-    _forget_old(runs)
+    _remove_old_records(runs)
     return started
 
 
-def _forget_old(runs: Path) -> None:
+KEPT = 20
+"""Number of starts whose records and logs are kept."""
+
+
+def _remove_old_records(runs: Path) -> None:
     for old in started_runs(runs)[KEPT:]:
         if not old.alive:
             for path in (old.log, *(old.log.with_suffix(end) for end in (".json", CONFIRMED))):
@@ -178,14 +180,14 @@ def _forget_old(runs: Path) -> None:
 
 
 def check_resume(run: Path, runs: Path) -> RunDirectory:
-    """Return a run that can be gone on with, as far as its documents say.
+    """Return a run that can be resumed, as far as its documents say.
 
     Args:
         run: Directory of a run that ended early.
         runs: The folder of runs that it is in.
 
     Raises:
-        DataError: It is live, was completed, or cannot be gone on with.
+        DataError: It is live, was completed, or cannot be resumed.
     """
     directory, run = require_resumable(run), run.resolve()
     if is_live(run) or any(one.alive and one.again == run for one in started_runs(runs)):
@@ -203,11 +205,11 @@ def go_on_with(
     Args:
         run: Directory of a run that ended early.
         runs: The folder of runs that it is in.
-        operator: Who asks; recorded as who is at the robot.
+        operator: Name of the operator; recorded.
         confirmed: As in `start_run`; not needed if what was confirmed before still holds.
 
     Raises:
-        DataError: It is live, was completed, or cannot be gone on with; nothing was started.
+        DataError: It is live, was completed, or cannot be resumed; nothing was started.
         RecordingError: The folder of runs cannot be written to.
     """
     check_resume(run, runs)
@@ -221,15 +223,15 @@ class Started:
     """A run that was started, which need not have a run directory yet.
 
     Attributes:
-        id: Names it below its folder of runs.
+        id: Unique in its folder of runs.
         runs: The folder of runs.
-        spec, station: What was started; the station is empty for the usual one. Instead of a spec
-            the directory of a run that is gone on with.
-        operator: Who asked for it.
-        pid: Its process.
-        ticks: When that began, in the kernel's own count: other processes may get its pid.
+        spec, station: What was started; the station is empty for the default one. The directory of
+            the run instead of a spec if a run is resumed.
+        operator: Name of the operator.
+        pid: Of its process.
+        ticks: When that process began, in the kernel's clock ticks: another one may get its pid.
         time: When it was started [s, Unix time].
-        host: On which computer.
+        host: Computer that it runs on.
     """
 
     id: str
@@ -244,7 +246,7 @@ class Started:
 
     @property
     def log(self) -> Path:
-        """What it prints."""
+        """File with what it prints."""
         return Path(self.runs) / FOLDER / f"{self.id}.log"
 
     @property
@@ -256,34 +258,34 @@ class Started:
     def made(self) -> list[Path]:
         """Its run directories: none while it plans, several for a series."""
         if (again := self.again) is not None:
-            return [again] if self._holds(again) or self._went_on_with(again) else []
+            return [again] if self._holds(again) or self._has_resumed(again) else []
         return known_runs(Path(self.runs)).started_as(self.id)
 
     @property
     def again(self) -> Path | None:
-        """The run that it goes on with; None where it makes one."""
+        """The run that it resumes; None if it starts a new one."""
         run, root = Path(self.spec), Path(self.runs).resolve()
         return run if run.is_dir() and run.resolve().is_relative_to(root) else None
 
     @property
     def last_words(self) -> list[str]:
-        """The last lines it printed."""
+        """The last lines that it printed."""
         return last_lines(self.log)
 
     def cancel(self, who: str = "") -> None:
-        """End it: as `hil stop` where it is live by now, else as Ctrl-C would.
+        """End it: as `hil stop` does if it is a live run by now, else as Ctrl-C would.
 
-        Does nothing when it has ended.
+        Does nothing if it has ended.
 
         Args:
-            who: Who asks; recorded. By default whoever started it.
+            who: Recorded; by default the operator who started it.
 
         Raises:
             DataError: Its process is not one that was started here, whatever its record says.
         """
         for run in self.made if self.alive else ():
             if not read_live(run):
-                continue  # it plans or connects, which may hang: nobody would take the request
+                continue  # it plans or connects, and takes no requests yet
             with contextlib.suppress(HilError):  # its motion is over
                 stop_run(run, who=who or self.operator, wait_s=0)
                 return
@@ -298,11 +300,11 @@ class Started:
             os.kill(self.pid, signal.SIGTERM)
 
     def _holds(self, run: Path) -> bool:
-        """Held before the way back is planned, and thus before anything is written."""
+        """Return whether it holds a run, as from before the way back is planned on."""
         holder = run_holder(run)
         return holder is not None and holder.pid == self.pid and self.alive
 
-    def _went_on_with(self, run: Path) -> bool:
+    def _has_resumed(self, run: Path) -> bool:
         for resumed in run.glob("resume*.json"):
             with contextlib.suppress(DataError):
                 if read_json(resumed).get("started_as") == self.id:
@@ -311,24 +313,22 @@ class Started:
 
 
 def started_runs(runs: Path) -> list[Started]:
-    """What was started, the newest first; damaged records are left out."""
-    return list(_records(runs))
-
-
-def _records(runs: Path) -> Iterator[Started]:
+    """Return what was started, the newest first; damaged records are left out."""
+    started: list[Started] = []
     for path in sorted((runs / FOLDER).glob("*.json"), reverse=True):
         with contextlib.suppress(DataError):
-            said = read_json(path) | {"id": path.stem, "runs": str(runs)}
-            if _is_record(said):
-                yield Started(**said)
+            record = read_json(path) | {"id": path.stem, "runs": str(runs)}
+            if _is_record(record):
+                started.append(Started(**record))
+    return started
 
 
-def _is_record(said: Mapping[str, Any]) -> bool:
-    """Whether a document is what was written here: others may have been at it."""
-    if said.keys() != {field.name for field in fields(Started)}:
+def _is_record(record: Mapping[str, Any]) -> bool:
+    """Return whether a document is one that is written here: other users may write there, too."""
+    if record.keys() != {field.name for field in fields(Started)}:
         return False
-    texts = [said[key] for key in ("spec", "station", "operator", "host")]
-    counts, time_s = [said[key] for key in ("pid", "ticks")], said["time"]
+    texts = [record[key] for key in ("spec", "station", "operator", "host")]
+    counts, time_s = [record[key] for key in ("pid", "ticks")], record["time"]
     return (
         all(isinstance(text, str) and "\0" not in text for text in texts)
         and all(isinstance(count, int) and 0 <= count < 2**63 for count in counts)
@@ -340,17 +340,14 @@ def _is_record(said: Mapping[str, Any]) -> bool:
 LAST_LINES = 10
 LAST_BYTES = 16 * 1024
 
-SECRETS = ("HIL_TOKEN",)
-"""Of the environment; a run and its plugins have no use for them."""
-
 
 def begin(command: Sequence[str], log: Path) -> subprocess.Popen[bytes]:
     """Start a command in a session of its own.
 
     Args:
         command: Program and arguments; no shell looks at them.
-        log: What it prints; made, with its folder. It is not left behind where nothing was started.
-            Its stem names the process, in its environment, see `is_ours`.
+        log: File for what it prints; made, with its folder, and removed if nothing is started. Its
+            stem names the process in its environment, see `is_ours`.
 
     Raises:
         RecordingError: The log cannot be written.
@@ -376,12 +373,12 @@ def begin(command: Sequence[str], log: Path) -> subprocess.Popen[bytes]:
 
 
 def last_lines(log: Path) -> list[str]:
-    """The last lines of what a process printed; of a long log only its end is read.
+    """Return the last lines of a log; of a long one only its end is read.
 
-    None of a link, a pipe or a device that stands there: only what `begin` makes is a log.
+    A link, a pipe or a device of that name is no log: only `begin` makes one.
     """
     try:
-        # Not to wait for the writer of a pipe.
+        # Without waiting, in case it is a pipe.
         opened = os.open(log, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK)
         with open(opened, "rb") as printed:
             about = os.fstat(opened)
@@ -395,7 +392,7 @@ def last_lines(log: Path) -> list[str]:
 
 
 def ticks_of(pid: int) -> int:
-    """When a process began in the kernel's own count, 0 for one that has ended."""
+    """Return when a process began, in the kernel's clock ticks; 0 for one that has ended."""
     try:
         about = Path(f"/proc/{pid}/stat").read_text("utf-8", "replace")
     except OSError:
@@ -405,18 +402,24 @@ def ticks_of(pid: int) -> int:
 
 
 def is_ours(pid: int, name: str) -> bool:
-    """Whether a process is a `python -P -m hil …` that `begin` has started under a name.
+    """Return whether a process is a `python -P -m hil …` that `begin` has started under a name.
 
-    What a record says is no proof: others may write in its folder. False where we may not look.
+    A record is no proof, as other users may write in its folder. False for a process that may not
+    be looked at.
     """
     try:
         words = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
-        given = Path(f"/proc/{pid}/environ").read_bytes().split(b"\0")
+        environment = Path(f"/proc/{pid}/environ").read_bytes().split(b"\0")
     except OSError:
         return False
-    return words[1:4] == [b"-P", b"-m", b"hil"] and os.fsencode(f"{STARTED_ID}={name}") in given
+    is_hil = words[1:4] == [b"-P", b"-m", b"hil"]
+    return is_hil and os.fsencode(f"{STARTED_ID}={name}") in environment
+
+
+SECRETS = ("HIL_TOKEN",)
+"""Environment variables that a run and its plug-ins do not get."""
 
 
 def own_environment() -> dict[str, str]:
-    """What a process that is started for somebody else gets: all but secrets."""
+    """Return the environment for a process that is started here: this one's, without secrets."""
     return {key: value for key, value in os.environ.items() if key not in SECRETS}

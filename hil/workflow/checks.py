@@ -1,4 +1,4 @@
-"""What is asked before planning: can the arm do it, will the driver take it, can it be judged?
+"""Checks of an experiment before planning: arm, driver, data for the fits, criteria, extras.
 
 A run with poses out of reach, too few measurements for its fits, a criterion that cannot be
 applied, or an extra that is not installed would fail after hours. Nothing connects here.
@@ -42,8 +42,8 @@ def require_within_reach(experiment: Experiment, robot: Capabilities) -> None:
     A commissioning run is neither fitted nor judged: only the limits of the arm are checked.
 
     Args:
-        experiment: What is asked.
-        robot: What its driver says of itself; it need not be connected.
+        experiment: What is to be done, and where.
+        robot: Capabilities of its driver, which need not be connected.
 
     Raises:
         SpecError: One line `file:line:column: path: message` per problem: a value beyond the
@@ -57,12 +57,12 @@ def require_within_reach(experiment: Experiment, robot: Capabilities) -> None:
     problems = misjudged(spec, robot.effort_kind) if judged else []
     arm = load_arm(model) if is_described(model) else None
     motions = getattr(spec.excitation, "trajectories", None)
-    ways: list[str] = []
+    remedies: list[str] = []
     if arm is not None:
         clearance_m = experiment.robot.surroundings.clearance_m
         problems += excesses(spec, arm, robot.rate_hz, clearance_m)
     if isinstance(spec.excitation, Dwell):
-        poses, faults, ways = _poses(experiment, spec.excitation, robot.joint_names, arm)
+        poses, faults, remedies = _poses(experiment, spec.excitation, robot.joint_names, arm)
         problems += faults
         motions = poses if not faults else None
     if judged:
@@ -72,7 +72,7 @@ def require_within_reach(experiment: Experiment, robot: Capabilities) -> None:
     source = _source_of(experiment)
     raise refuse(
         [Problem(source.mark(one.path), one.path, one.message) for one in problems],
-        hint=", or ".join(["change these values", *ways, "take another robot"]),
+        hint=", or ".join(["change these values", *remedies, "take another robot"]),
     )
 
 
@@ -91,15 +91,17 @@ def _poses(
         message = error.message.removeprefix("excitation.file: ")
         return 0, [Excess(POSES, f"{message} → {error.hint}")], []
     messages = list(file.problems)
-    ways: list[str] = []
+    remedies: list[str] = []
     if arm is not None:
         beyond = _beyond_range(file, arm)
-        near, ways = ([], []) if beyond else _outside(file, arm, experiment)
+        # The workspace says nothing of poses that the joints do not reach.
+        near, remedies = ([], []) if beyond else _outside(file, arm, experiment)
         messages += beyond + near
-    return len(file.q), [Excess(POSES, message) for message in messages], ways
+    return len(file.q), [Excess(POSES, message) for message in messages], remedies
 
 
 def _beyond_range(file: WaypointFile, arm: ArmDescription) -> list[str]:
+    """Return the poses that are beyond the range of a joint; one suspicion if nearly all are."""
     complaints = [beyond_range(q, arm.joint_names, arm.q_min, arm.q_max) for q in file.q]
     rows = [row for row, complaint in enumerate(complaints) if complaint]
     if suspicion := file.suspected(len(rows)):
@@ -122,14 +124,11 @@ def _outside(
 
 
 def _source_of(experiment: Experiment) -> Source:
-    """The file with its overrides, for the places in it; a spec without one is named."""
+    """Return the spec's file with its overrides, for places in it; without a file only its name."""
     if experiment.spec_source:
-        try:
+        with contextlib.suppress(SpecError):  # changed since it was loaded
             source = read_source(experiment.spec_source)
             lay_over(source, experiment.overrides)
-        except SpecError:  # changed since it was loaded
-            pass
-        else:
             return source
     return Source(experiment.spec.name, values={(): Mark(experiment.spec.name, 0, 0)})
 
@@ -155,7 +154,7 @@ class Size(NamedTuple):
 
     Attributes:
         spec: The experiment.
-        motions: Different poses or trajectories.
+        motions: Number of different poses or trajectories.
         rate_hz: Of the recording.
     """
 
@@ -165,7 +164,7 @@ class Size(NamedTuple):
 
     @property
     def held(self) -> int:
-        """Return how many of the motions no fit sees."""
+        """Number of the motions that no fit sees."""
         hold_out = self.spec.hold_out
         if isinstance(self.spec.excitation, Fourier):
             return hold_out.trajectories_of(self.motions)
@@ -211,18 +210,21 @@ def unmet(
         for i, one in enumerate(spec.study)
     ]
     size = None if motions is None else Size(spec, motions, robot.rate_hz)
-    excesses = list(_criteria(spec, robot, [model for _, _, model in fits]))
-    if size is not None and (excess := _held_out(size)) is not None:
-        return [*excesses, excess]
+    problems = list(_unmet_criteria(spec, robot, [model for _, _, model in fits]))
+    if size is not None and spec.fit and size.held >= max(1, size.motions):
+        what = f"holds out all {size.motions} poses of excitation.file and leaves none to fit on"
+        return [*problems, Excess(("validate", "hold_out"), what)]
     if not (fits or studies):
-        return excesses
+        return problems
     model = load_model(station_robot.model, gravity=station_robot.gravity_m_s2)
     for one in (*fits, *studies):
-        excesses += _of_one(one, spec, robot, model, size)
-    return excesses
+        problems += _unmet_needs(one, spec, robot, model, size)
+    return problems
 
 
-def _criteria(spec: ExperimentSpec, robot: Capabilities, models: list[Any]) -> Iterator[Excess]:
+def _unmet_criteria(
+    spec: ExperimentSpec, robot: Capabilities, models: list[Any]
+) -> Iterator[Excess]:
     """Yield the criteria that cannot be applied."""
     of_models = [key for key in ("rmse", "nrmse") if getattr(spec.accept, key) is not None]
     honest = any(getattr(model, "protocol", HONEST) == HONEST for model in models)
@@ -243,15 +245,7 @@ def _criteria(spec: ExperimentSpec, robot: Capabilities, models: list[Any]) -> I
         yield Excess(path, "`loads` needs a third load to calibrate the drive gains with")
 
 
-def _held_out(size: Size) -> Excess | None:
-    """Return the problem if the hold-out takes every pose of `excitation.file`; else None."""
-    if not size.spec.fit or size.held < max(1, size.motions):
-        return None
-    message = f"holds out all {size.motions} poses of excitation.file and leaves none to fit on"
-    return Excess(("validate", "hold_out"), message)
-
-
-def _of_one(
+def _unmet_needs(
     one: Entry,
     spec: ExperimentSpec,
     robot: Capabilities,
@@ -294,10 +288,7 @@ def _enough(needs: Needs, size: Size, *, after_hold_out: bool) -> str:
 
 
 def check_driver(experiment: Experiment) -> Capabilities:
-    """Construct the robot's driver, and nothing more: no connection, no motion.
-
-    Returns:
-        What the robot offers.
+    """Construct the robot's driver, without connecting to the robot; return its capabilities.
 
     Raises:
         SpecError, PluginError: See `checked_robot`.
@@ -308,7 +299,7 @@ def check_driver(experiment: Experiment) -> Capabilities:
 
 @contextlib.contextmanager
 def checked_robot(experiment: Experiment) -> Iterator[Robot]:
-    """Open the robot, not connected, for a run whose arm can do what is asked; close it after it.
+    """Open the robot, not connected, for an experiment that its arm can do; close it afterwards.
 
     Raises:
         SpecError: The driver refuses its options; the message names the station's file and robot.
@@ -324,11 +315,11 @@ def checked_robot(experiment: Experiment) -> Iterator[Robot]:
         except SpecError as error:
             raise SpecError(f"{place}: {error.message}", hint=error.hint) from error
         except (TypeError, ValueError) as error:
-            # What Python itself says when a constructor is called with an option it does not have.
-            given = ", ".join(experiment.robot.options) or "none"
+            # Python's own errors for a constructor that does not have an option.
+            options = ", ".join(experiment.robot.options) or "none"
             raise SpecError(
                 f"{place}: the driver {experiment.robot.driver!r} does not accept its options "
-                f"({given}): {error}",
+                f"({options}): {error}",
                 hint="see the driver's documentation for its options",
             ) from error
         require_within_reach(experiment, can)
@@ -336,16 +327,17 @@ def checked_robot(experiment: Experiment) -> Iterator[Robot]:
 
 
 def require_extras(spec: ExperimentSpec) -> None:
-    """Refuse an experiment that could be measured here, but not evaluated.
+    """Raise if an experiment could be measured here, but not evaluated.
 
     Raises:
         PluginError: An extra is missing; all are in the message.
         SpecError: A fit or study has a parameter that it does not take any more.
     """
-    require_installed(_made(spec))
+    require_installed(_evaluators(spec))
 
 
-def _made(spec: ExperimentSpec) -> list[Named]:
+def _evaluators(spec: ExperimentSpec) -> list[Named]:
+    """Return the estimators and studies of a spec, each with its place in it."""
     return [
         *(
             (f"fit: {fit.estimator}", estimator(fit.estimator, **fit.parameters))
@@ -356,5 +348,6 @@ def _made(spec: ExperimentSpec) -> list[Named]:
 
 
 def missing_extras(spec: ExperimentSpec) -> list[str]:
-    """What `require_extras` would refuse, in words: another computer may have what is missing."""
-    return [f'{told} → pip install "hil[{extra}]"' for told, extra in absent_extras(_made(spec))]
+    """Return what `require_extras` would raise, as texts: another computer may have the extras."""
+    absent = absent_extras(_evaluators(spec))
+    return [f'{what} → pip install "hil[{extra}]"' for what, extra in absent]

@@ -1,7 +1,8 @@
-"""The terminal of the operator: lines typed at it, text written to it.
+"""The operator's terminal: lines typed at it, text written to it.
 
-Reading never blocks for longer than asked, as the robot is read while a question waits; nothing is
-read in the background; and what was typed before a question is no answer to it.
+Reading never blocks for longer than asked, as the robot is read while a question waits. Nothing is
+read by a background process, and what was typed before a question is no answer to it. Prompts
+(`operator`) and confirmations (`motion_confirmation`, `arming`) are built on it.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ WIDEST = 90
 class Console:
     """Lines typed at the terminal; written text goes to standard error.
 
-    In the background (`hil run … &`) nothing is read: the system would suspend the whole process,
-    and the robot with it.
+    A background process (`hil run … &`) reads nothing: the system would suspend all of it, the
+    control of the robot included.
 
     Args:
         read: Whether anything is read at all.
@@ -36,18 +37,18 @@ class Console:
 
     @property
     def present(self) -> bool:
-        """Whether somebody may sit there."""
+        """Whether an operator may sit there."""
         return self._read and not self._ended and sys.stdin is not None and sys.stdin.isatty()
 
     def forget_typed(self) -> None:
-        """What was typed before a question is no answer to it."""
+        """Drop what was typed before a question: it is no answer to it."""
         self._typed = b""
         if self.present and self._in_foreground():
             with contextlib.suppress(termios.error, OSError):
                 termios.tcflush(sys.stdin.fileno(), termios.TCIFLUSH)
 
     def line(self, wait_s: float) -> str | None:
-        """The line typed within that time, without its end; None when there is none."""
+        """Return the line typed within that time [s], without its end; None without one."""
         if not self.present or not self._in_foreground():
             time.sleep(wait_s)
             return None
@@ -81,5 +82,5 @@ class Console:
     def _in_foreground() -> bool:
         try:
             return os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
-        except OSError:  # not the terminal that controls this process: nobody is suspended
+        except OSError:  # not the terminal that controls this process: it cannot suspend it
             return True

@@ -1,13 +1,13 @@
-"""Fitting recordings: sources in, a stored and validated model out, with a page about it.
+"""`hil fit` and `hil evaluate`: a model from recordings, stored and judged, with a page about it.
 
-The one place where reading recordings, fitting, judging and reporting meet without a run.
+Here reading recordings, fitting, judging and reporting meet outside a run (`judging` does it in
+one).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from inspect import signature
-from pathlib import Path
 from typing import Any
 
 from hil.arms import AnyPayload, payload_of
@@ -47,34 +47,34 @@ def fit(
     checkpoints: AnyPath | None = None,
     watch: Watch | None = None,
 ) -> FitReport:
-    """Fit an estimator to recordings and judge it on others.
+    """Fit an estimator to recordings, judge it on others, and return the result.
 
     Args:
-        sources: Run directories or MCAP files to fit on, or just one.
+        sources: Run directories or MCAP files to fit to, or just one.
         estimator: Name in `hil.estimators`.
-        robot: Built-in arm or URDF; by default what the data says.
+        robot: Built-in arm or URDF; by default that of the data.
         payload: `MASS` or `MASS,X,Y,Z` [kg, m], a number [kg] or a `Payload`; 0 for nothing
-            mounted; by default what the data says.
-        gains: File with `drive_gains_nm_a`; by default what the data says.
+            mounted; by default that of the data.
+        gains: File with `drive_gains_nm_a`; by default the gains of the data.
         validate: Held-out sources, or just one.
         parameters: The estimator's own parameters.
         out: Folder in which the model's folder is made.
-        page: Also write an HTML report about the held-out sources here.
+        page: File for an HTML report about the held-out sources; None for no report.
         checkpoints: Folder in which estimators that train networks keep their training, and from
-            which they take it up again.
-        watch: Told every epoch of such a training.
+            which they continue it.
+        watch: Called with every epoch of such a training.
 
     Raises:
-        DataError: A source cannot be read, or is given for training and validation alike; or the
+        DataError: A source cannot be read, or is named for training and validation alike; or the
             checkpoints are of another training.
         FitError: The data do not allow the fit, or are of different robots or individuals.
         PluginError: No such estimator, or it needs extras that are not installed; all are named.
-        SpecError: No such parameter or robot, or an argument cannot be.
+        SpecError: No such parameter or robot, or an argument is invalid.
         RecordingError: The model cannot be written there.
     """
-    learned, judged_on = sources_of(sources), paths_of(validate)
+    fitted_to, judged_on = sources_of(sources), paths_of(validate)
     load, calibrated = payload_of(payload), read_gains(path_of(gains)) if gains else None
-    place, kept = path_of(out), None if checkpoints is None else path_of(checkpoints)
+    folder, trainings = path_of(out), None if checkpoints is None else path_of(checkpoints)
     if page is not None and not judged_on:
         raise SpecError(
             "a page shows how a model does on held-out recordings, and none was given",
@@ -82,27 +82,28 @@ def fit(
         )
     model = make_estimator(estimator, **_own_parameters(parameters))
     require_installed([(estimator, model)])
-    _require_folder(place)  # before hours of training
-    attach(model, watch, kept)
+    if folder.exists() and not folder.is_dir():  # before hours of training
+        raise RecordingError(f"{folder} is a file", hint="choose another folder for models")
+    attach(model, watch, trainings)
     named = robot is not None
-    parts = [load_source(source, any_arm=named) for source in learned]
+    parts = [load_source(source, any_arm=named) for source in fitted_to]
     train = _pooled([calibrated.of(part) for part in parts] if calibrated else parts)
     if load is not None:
         train = with_payload(train, load)
-    serial = one_serial(learned)
-    for source in () if named else learned:
+    serial = one_serial(fitted_to)
+    for source in () if named else fitted_to:
         require_arm_as_recorded(source)
     held_out = [(source, load_source(source, any_arm=named)) for source in judged_on]
     for _, data in held_out:
         _require_same_effort(train, data)
-        # What is not learned from may be shared: warm-ups of two runs on a mock are the same.
+        # Only the parts that are used must differ: warm-ups of two runs on a mock are the same.
         assert_disjoint(usable_part(train, model), usable_part(data, model))
     arm = load_model(robot or train.robot, gravity=train.gravity)
     if isinstance(watch, HearsBeginning) and keeps_checkpoints(model):
-        learn = usable_part(train, model)
-        of = f"{len(learn)} samples in {len(learn.conditions)} series"
-        watch.began(f"training {estimator} on {of}")
-    report = judge_fit(fit_model(model, train, arm, place, serial), train, held_out)
+        part = usable_part(train, model)
+        size = f"{len(part)} samples in {len(part.conditions)} series"
+        watch.began(f"training {estimator} on {size}")
+    report = judge_fit(fit_model(model, train, arm, folder, serial), train, held_out)
     if page is not None:
         shown = {str(source): usable_part(data, model) for source, data in held_out}
         render_fit_report(report.fitted.folder, shown, path_of(page))
@@ -110,7 +111,7 @@ def fit(
 
 
 def evaluate(model: AnyPath, sources: AnyPath | Iterable[AnyPath]) -> list[dict[str, Any]]:
-    """Judge a saved model; one entry per source, with the keys of `FitReport.to_dict`.
+    """Judge a saved model; return an entry per source, with the keys of `FitReport.to_dict`.
 
     Raises:
         DataError: A source cannot be read, or was among the model's training data.
@@ -120,23 +121,18 @@ def evaluate(model: AnyPath, sources: AnyPath | Iterable[AnyPath]) -> list[dict[
     return [judge_source(stored, source).to_dict() for source in judged_on]
 
 
-def _own_parameters(given: dict[str, Any] | None) -> dict[str, Any]:
+def _own_parameters(parameters: dict[str, Any] | None) -> dict[str, Any]:
     """Return an estimator's own parameters.
 
     Raises:
-        SpecError: They are none, or one is an argument of `fit`.
+        SpecError: They are no values by name, or one is an argument of `fit`.
     """
-    own = values_by_name(given, "parameters", "{'weighted': True}")
+    own = values_by_name(parameters, "parameters", "{'weighted': True}")
     if taken := sorted(own.keys() & signature(fit).parameters.keys()):
         raise SpecError(
             f"{taken[0]} is no parameter of an estimator", hint=f"hil.fit(…, {taken[0]}=…)"
         )
     return own
-
-
-def _require_folder(out: Path) -> None:
-    if out.exists() and not out.is_dir():
-        raise RecordingError(f"{out} is a file", hint="choose another folder for models")
 
 
 def _pooled(parts: Sequence[Dataset]) -> Dataset:

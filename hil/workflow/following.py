@@ -1,4 +1,4 @@
-"""Following a run from outside: what is logged and what the live view says, as it comes."""
+"""Following a run from another process (`hil watch`): event log and live view, as they grow."""
 
 from __future__ import annotations
 
@@ -16,16 +16,13 @@ from hil.workflow.live_state import read_live
 
 LOOK_EVERY_S = 0.2
 
-EXIT_CODES = {"completed": 0, "failed": 4, "tripped": 5, "stopped": 6}
-"""Where the stop document does not say with which one `hil run` ended; 1 when nobody could say."""
-
 
 class EventTail:
-    """Reads an event log as it grows; lines that are not whole yet wait for their end.
+    """Reads an event log as it grows; a line counts once it is whole.
 
     Args:
         path: The log; need not exist yet.
-        from_start: Whether what is there already is read too.
+        from_start: Whether the lines that are there already are read, too.
     """
 
     def __init__(self, path: Path, *, from_start: bool = False) -> None:
@@ -34,7 +31,7 @@ class EventTail:
         self._offset = 0 if from_start or not path.exists() else path.stat().st_size
 
     def read(self) -> list[dict[str, Any]]:
-        """The events since the last call."""
+        """Return the events since the last call."""
         try:
             with self._path.open("rb") as file:
                 file.seek(self._offset)
@@ -46,13 +43,21 @@ class EventTail:
         return [event for line in lines if (event := _event(line))]
 
 
+def _event(line: bytes) -> dict[str, Any] | None:
+    try:
+        event = json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+    return event if isinstance(event, dict) and "kind" in event else None
+
+
 def follow(
     run: Path, *, every_s: float = LOOK_EVERY_S, sleep: Callable[[float], object] = time.sleep
 ) -> Iterator[dict[str, Any]]:
     """Follow a run to its end.
 
     Args:
-        run: The run directory; it may have ended, or have died.
+        run: The run directory; the run may have ended, or its process died.
         every_s: Time between two looks [s].
         sleep: Waits for that long.
 
@@ -67,7 +72,7 @@ def follow(
     directory = RunDirectory.open(run)
     log, seen = EventTail(directory.events_path), 0.0
     while True:
-        live = is_live(run)  # asked first: what was written before the end is read after it
+        live = is_live(run)  # before reading: what was written until the end is not missed
         yield from ({"kind": "event", "event": event} for event in log.read())
         view = read_live(run)
         if live and view.get("t", seen) != seen:
@@ -79,8 +84,12 @@ def follow(
     yield {"kind": "end", **how_it_ended(directory)}
 
 
+EXIT_CODES = {"completed": 0, "failed": 4, "tripped": 5, "stopped": 6}
+"""Exit code of `hil run` by outcome, for stop documents without one; 1 for others."""
+
+
 def how_it_ended(run: RunDirectory) -> dict[str, Any]:
-    """Status, reason, verdict and exit code of a run that is not live.
+    """Return status, reason, verdict and exit code of a run that is not live.
 
     Raises:
         DataError: Its documents are damaged.
@@ -105,7 +114,7 @@ def how_it_ended(run: RunDirectory) -> dict[str, Any]:
 
 
 def newest_live(runs: Path) -> Path:
-    """The live run with the highest number.
+    """Return the live run with the highest number.
 
     Raises:
         DataError: No run is live.
@@ -117,7 +126,7 @@ def newest_live(runs: Path) -> Path:
 
 
 def only_live(runs: Path) -> Path:
-    """The one live run.
+    """Return the one live run.
 
     Raises:
         DataError: No run is live, or several are.
@@ -127,11 +136,3 @@ def only_live(runs: Path) -> Path:
         named = ", ".join(path.name for path in live)
         raise DataError(f"{len(live)} runs are live: {named}", hint="say which one")
     return newest_live(runs)
-
-
-def _event(line: bytes) -> dict[str, Any] | None:
-    try:
-        event = json.loads(line)
-    except (ValueError, RecursionError):
-        return None
-    return event if isinstance(event, dict) and "kind" in event else None

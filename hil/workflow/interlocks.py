@@ -1,12 +1,11 @@
-"""The interlocks of a run.
+"""The interlocks of a run, as previews, first attempts and resumed attempts make them.
 
-They are made once and early: one that cannot be judged on this robot is refused before anybody is
-asked to confirm a motion. Folder and recorder of the run, which two of them watch, come later.
+They are made once and early, so that one that cannot be judged on this robot is refused before a
+motion has to be confirmed. Folder and recorder of the run, which two of them watch, come later.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -27,7 +26,8 @@ class RunInterlocks:
         plan: Says which loads will be mounted.
 
     Attributes:
-        all: Every interlock, and what is not watched and why. Close them if they were judged.
+        all: Every interlock, with those that are not watched and why. To be closed if an engine
+            has judged them.
 
     Raises:
         PlanError: An interlock of the spec cannot be judged on this robot; all are listed.
@@ -49,7 +49,9 @@ class RunInterlocks:
             flange=partial(flange_space, arm, sizes=sizes) if arm else None,
             behind_s=lambda: self._recording()[1].behind_s,
             folder=lambda: self._recording()[0],
-            speed_scaling=_speed_scaling_of(robot),
+            speed_scaling=(
+                (lambda: robot.speed_scaling) if isinstance(robot, HasSpeedScaling) else None
+            ),
             clock=can.clock,
         )
         self._recorded: tuple[Path, Recorder] | None = None
@@ -63,7 +65,3 @@ class RunInterlocks:
         if self._recorded is None:
             raise RuntimeError("interlocks are judged before the recording has begun")
         return self._recorded
-
-
-def _speed_scaling_of(robot: Robot) -> Callable[[], float] | None:
-    return (lambda: robot.speed_scaling) if isinstance(robot, HasSpeedScaling) else None

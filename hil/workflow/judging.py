@@ -1,8 +1,8 @@
-"""After the motion: fits, verdict and studies, while somebody may still press Ctrl-C.
+"""After the motion: fits, verdict and studies of a run, until they are done or interrupted.
 
 All are pure functions of the run directory. `RUN/.training/<estimator>-<digest>/` holds the
-training of a network as far as it is: whoever is interrupted goes on from there with `hil resume`,
-and once there is a verdict nobody needs it any more.
+unfinished training of a network: `hil resume` continues from there after an interruption, and the
+folder is removed once there is a verdict.
 """
 
 from __future__ import annotations
@@ -65,7 +65,13 @@ def judge_and_study(
     """Fit, judge and study a completed run; return what ended it early, or what is missing.
 
     If the run was judged already, because its process died later, only missing studies are made.
-    `keep` is called with every model that is judged now.
+
+    Args:
+        experiment: Of the run.
+        recorded: The run.
+        signals: Watched: a signal ends fits and studies.
+        watching: Receive progress events.
+        keep: Called with every model that is judged now.
     """
     entries = experiment.spec.study
     if recorded.directory.is_judged:
@@ -85,12 +91,12 @@ def _judge(
     watching: Observers,
     keep: Callable[[Judged], object],
 ) -> HilError | None:
-    """Fit and judge a completed run; returns what ended the run or the fit early."""
+    """Fit and judge a completed run; return what ended the run or the fit early."""
     result = recorded.result
     if result.outcome is not Outcome.COMPLETED:
         return result.error
     if "commissioning" in recorded.directory.start:
-        return None  # a part of the program, or another speed: there is no model to be judged
+        return None  # a part of the program, or another speed: no model is fitted to that
     if signals.seen:
         return Stopped(
             "stopped after the motion, before the fit",
@@ -103,35 +109,30 @@ def _judge(
         judge_run(recorded.directory, experiment.spec, recorded.counts, watching.publish, keep=keep)
     except (Exception, StopSignal) as error:
         if signals.seen:
-            return _stopped(recorded, signals)
+            path = recorded.directory.path
+            training = "; the training is kept" if has_training(path) else ""
+            message = f"{signals.reason} during the fits; the recording is complete{training}"
+            return Stopped(message, hint=f"go on with: hil resume {path}", by_signal=True)
         if isinstance(error, HilError):
             return error
         raise
     return None
 
 
-def _stopped(recorded: Recorded, signals: SignalWatch) -> Stopped:
-    """What a signal during the fits leaves, and how to go on."""
-    path = recorded.directory.path
-    kept = "; the training is kept" if are_kept(path) else ""
-    told = f"{signals.reason} during the fits; the recording is complete{kept}"
-    return Stopped(told, hint=f"go on with: hil resume {path}", by_signal=True)
-
-
 def _is_whole(recorded: Recorded) -> bool:
-    """Whether all of the program was measured as it was planned."""
+    """Return whether all of the program was measured as it was planned."""
     commissioning = "commissioning" in recorded.directory.start
     return recorded.result.outcome is Outcome.COMPLETED and not commissioning
 
 
 def _both(fits: HilError | None, studies: HilError | None) -> HilError | None:
-    """One error where models and studies are missing; a stop by signal comes before all else."""
+    """Return one error for missing models and missing studies; a stop by signal comes first."""
     if fits is None or studies is None or isinstance(studies, Stopped):
         return studies or fits
     hints = dict.fromkeys(filter(None, (fits.hint, studies.hint)))
-    out = type(fits)(f"{fits.message}; {studies.message}", hint="; ".join(hints))
-    out.__cause__ = fits
-    return out
+    both = type(fits)(f"{fits.message}; {studies.message}", hint="; ".join(hints))
+    both.__cause__ = fits
+    return both
 
 
 def _study(
@@ -143,7 +144,7 @@ def _study(
         event = {"kind": "study", "study": name, "what": what, "done": done, "total": total}
         watching.publish(event)
 
-    def fitted(name: str, ended: Ended) -> None:
+    def fit_ended(name: str, ended: Ended) -> None:
         watching.publish({"kind": "study_fit", "study": name, "ended": asdict(ended)})
 
     path = recorded.directory.path
@@ -152,11 +153,11 @@ def _study(
     names = ", ".join(entry.study for entry in entries)
     watching.publish({"kind": "stage", "stage": f"studying the run: {names}"})
     try:
-        return run_studies(path, entries, watch, fitted).error
+        return run_studies(path, entries, watch, fit_ended).error
     except (Exception, StopSignal) as error:
         if signals.seen:
-            told = f"{signals.reason} during the studies; the run and its models are complete"
-            return Stopped(told, hint=f"make them with: hil study {path}", by_signal=True)
+            message = f"{signals.reason} during the studies; the run and its models are complete"
+            return Stopped(message, hint=f"make them with: hil study {path}", by_signal=True)
         if isinstance(error, HilError):
             return error
         raise
@@ -164,15 +165,15 @@ def _study(
         watching.publish({"kind": "study", "study": ""})
 
 
-def nobody(event: Mapping[str, Any]) -> None:
-    """Fits that nobody watches."""
+def unwatched(event: Mapping[str, Any]) -> None:
+    """Ignore the progress of fits."""
 
 
 def judge_run(
     directory: RunDirectory,
     spec: ExperimentSpec,
     counts: Mapping[str, int],
-    tell: Tell = nobody,
+    tell: Tell = unwatched,
     *,
     keep: Callable[[Judged], object] = lambda judged: None,
 ) -> bool | None:
@@ -184,12 +185,16 @@ def judge_run(
 
     With `validate.under_loads` the models are also judged under every load of the run.
 
-    How far fits are is told as `FitNews` says. `keep` is called with every judged
-    model.
+    Args:
+        directory: The run.
+        spec: Its spec.
+        counts: Of its recording, see `Recorded.counts`.
+        tell: Receives the progress of the fits, see `FitNews`.
+        keep: Called with every judged model.
 
     Returns:
-        Whether all criteria are met; None when there are none for a model, or when no criterion
-        is missed but no model could be judged.
+        Whether all criteria are met; None if there are none for a model, or if no criterion is
+        missed but no model could be judged.
 
     Raises:
         DataError, FitError: At least one model is missing; the message says of each why. The
@@ -199,12 +204,16 @@ def judge_run(
         return judge_recording(directory, spec, counts)
     judged: list[Judged] = []
     problems: list[FailedFit] = []
-    data = _loaded(directory, problems)
+    data: Dataset | None = None
+    try:
+        data = load_source(directory.path)
+    except HilError as error:
+        problems.append(FailedFit("", error))
     for number, fit in enumerate(spec.fit if data is not None else (), start=1):
         assert data is not None
         news = FitNews(fit.estimator, number, len(spec.fit), tell)
         try:
-            with news.ended():
+            with news.timed():
                 judged.append(_judge_one(directory, data, fit, spec, news))
                 keep(judged[-1])
         except HilError as error:
@@ -218,19 +227,11 @@ def judge_run(
         problems += missing
     document = _verdict_document(judged, problems, spec, counts, under)
     directory.write_verdict(document)
-    forget(directory.path)
+    forget_training(directory.path)
     if problems:
         raise _all_in_one(problems, directory)
     passed: bool | None = document["passed"]
     return passed
-
-
-def _loaded(directory: RunDirectory, problems: list[FailedFit]) -> Dataset | None:
-    try:
-        return load_source(directory.path)
-    except HilError as error:
-        problems.append(FailedFit("", error))
-        return None
 
 
 def _judge_one(
@@ -246,7 +247,7 @@ def _judge_one(
             checkpoints=checkpoints, **fit.parameters,
         )  # fmt: skip
 
-    fitted = fit_or_go_on(directory.path, fit, fitted_from, news.note)
+    fitted = fit_or_continue(directory.path, fit, fitted_from, news.note)
     judged = judged_model(fit.estimator, fitted, parts, spec.accept)
     if not (fitted.folder / EVALUATION_FILE).exists():  # else a kill before the verdict left it
         document = judged.document | {"seconds": fitted.seconds}
@@ -255,12 +256,12 @@ def _judge_one(
 
 
 def _as_fit_error(name: str, error: Exception) -> FitError:
-    told = FitError(
+    fit_error = FitError(
         f"{name} broke down: {type(error).__name__}: {error}",
         hint="this is a fault of the estimator: report it to whoever wrote it",
     )
-    told.__cause__ = error
-    return told
+    fit_error.__cause__ = error
+    return fit_error
 
 
 def _verdict_document(
@@ -285,13 +286,13 @@ def _verdict_document(
 
 
 def _all_in_one(problems: Sequence[FailedFit], directory: RunDirectory) -> HilError:
-    """One error for all models that are missing; the recording is at fault only if it alone is."""
+    """Return one error for all models that are missing; a `DataError` if all of them are."""
     kind = DataError if all(isinstance(p.error, DataError) for p in problems) else FitError
-    told = [": ".join(filter(None, (p.estimator, p.error.message))) for p in problems]
+    messages = [": ".join(filter(None, (p.estimator, p.error.message))) for p in problems]
     hints = list(dict.fromkeys(p.error.hint for p in problems if p.error.hint))
-    out = kind("; ".join(told), hint="; ".join(hints) or f"hil show {directory.path}")
-    out.__cause__ = problems[0].error
-    return out
+    error = kind("; ".join(messages), hint="; ".join(hints) or f"hil show {directory.path}")
+    error.__cause__ = problems[0].error
+    return error
 
 
 def judge_recording(
@@ -321,44 +322,42 @@ def missing_models(directory: RunDirectory) -> HilError | None:
     return FitError("; ".join(messages), hint=hint) if messages else None
 
 
-FOLDER = ".training"
-
 EVERY_S = 0.1
-"""Epochs are told no more often than this [s]."""
+"""Least time between two events about epochs [s]."""
 
 
 class FitNews:
-    """What is told of one of the fits of a run; the watch of its trainings.
+    """Events about one of the fits of a run; the watch of its trainings.
 
     Args:
         estimator: Its name.
-        number: From 1.
-        total: How many there are.
-        tell: Whoever watches.
+        number: Of the fit, from 1.
+        total: Number of fits.
+        tell: Receives the events.
     """
 
     def __init__(self, estimator: str, number: int, total: int, tell: Tell) -> None:
         self._which = {"estimator": estimator, "number": number, "total": total}
         self._tell, self._often, self._unkept = tell, Throttle(EVERY_S), False
 
-    def __call__(self, told: Told) -> None:
+    def __call__(self, epoch: Told) -> None:
         """Tell an epoch if it is time to; the first of every network in any case."""
-        if self._often.due(anyway=told.epoch == 1):
-            self._tell({"kind": "training", **self._which, "epoch": asdict(told)})
+        if self._often.due(anyway=epoch.epoch == 1):
+            self._tell({"kind": "training", **self._which, "epoch": asdict(epoch)})
 
     def not_kept(self, error: HilError) -> None:
-        """Tell once that the disk does not take the trainings; the fit goes on."""
+        """Tell once that the disk does not take the trainings; the fit continues."""
         if not self._unkept:
             self.note(f"{error.message}; the fit goes on without")
         self._unkept = True
 
     def note(self, text: str) -> None:
-        """Tell something that a person should know of the fit."""
+        """Tell something that an operator should know about the fit."""
         self._tell({"kind": "fit_note", **self._which, "text": text})
 
     @contextmanager
-    def ended(self) -> Iterator[None]:
-        """Tell how long what is inside took, and whether it failed; nothing of an interrupt."""
+    def timed(self) -> Iterator[None]:
+        """Tell how long what is inside took, and whether it failed; nothing about an interrupt."""
         begin = time.perf_counter()
         try:
             yield
@@ -372,21 +371,26 @@ class FitNews:
         self._tell({"kind": "fitted", **self._which, **ending})
 
 
-def fit_or_go_on(
+TRAINING = ".training"
+
+
+def fit_or_continue(
     run: Path, fit: Fit, make: Callable[[Path], Fitted], note: Callable[[str], None]
 ) -> Fitted:
-    """Make a fit, going on with its trainings if it was interrupted.
+    """Make a fit; trainings of it that were interrupted are continued.
 
-    A training that cannot be gone on with, say one of another version, is removed and begun anew;
+    A training that cannot be continued, such as one of another version, is removed and begun anew;
     others of the same fit stay.
 
     Args:
         run: The run directory.
         fit: The entry of the spec.
-        make: Fits, keeping trainings in the folder that it is given.
-        note: Told what is begun anew, and why.
+        make: Fits, with its trainings in the folder that it is called with.
+        note: Called with the reason for which a training is begun anew.
     """
-    folder = _folder(run, fit)
+    text = json_document({"estimator": fit.estimator, "parameters": fit.parameters})
+    digest = hashlib.sha256(text).hexdigest()[:DIGEST_LENGTH]
+    folder = run / TRAINING / f"{fit.estimator}-{digest}"
     removed: set[Path] = set()
     while True:
         try:
@@ -400,17 +404,11 @@ def fit_or_go_on(
             shutil.rmtree(refused, ignore_errors=True)
 
 
-def _folder(run: Path, fit: Fit) -> Path:
-    text = json_document({"estimator": fit.estimator, "parameters": fit.parameters})
-    digest = hashlib.sha256(text).hexdigest()[:DIGEST_LENGTH]
-    return run / FOLDER / f"{fit.estimator}-{digest}"
+def forget_training(run: Path) -> None:
+    """Remove the trainings of a run that is judged."""
+    shutil.rmtree(run / TRAINING, ignore_errors=True)
 
 
-def forget(run: Path) -> None:
-    """Remove what was kept: the run is judged."""
-    shutil.rmtree(run / FOLDER, ignore_errors=True)
-
-
-def are_kept(run: Path) -> bool:
-    """Whether a training of the run can be gone on with."""
-    return any((run / FOLDER).glob("*/**/checkpoint.json"))
+def has_training(run: Path) -> bool:
+    """Return whether a training of the run can be continued."""
+    return any((run / TRAINING).glob("*/**/checkpoint.json"))

@@ -1,8 +1,8 @@
-"""The live view of a run: a small file others may look at while it is going on.
+"""The live view of a run: the file `RUN/.live.json`, by which other processes watch a live run.
 
-`RUN/.live.json` is replaced whole, at most four times a second for progress and for how the arm
-is, and at once when the state changes or something is asked. It is a view: nothing depends on it,
-and it goes when the run ends.
+It is replaced whole, at most four times a second for progress and for the state of the arm, and at
+once when the run changes its state or shows a prompt. It is a view: nothing depends on it, and it
+is removed when the run ends. Readers check every value, as runs may come from elsewhere.
 """
 
 from __future__ import annotations
@@ -34,21 +34,21 @@ LIVE_FILE = ".live.json"
 LIVE_VERSION = 1
 
 EVERY_S = 0.25
-"""Wall time between two views while nothing special happens [s]."""
+"""Least wall time between two views, but for changes of state and prompts [s]."""
 
 LARGEST = 2.0**53
-"""What is larger is no count and no time of a run."""
+"""No count and no time of a run is larger."""
 
 _NEWS = frozenset({"stage", "state", "prompt"})
 _PROGRESS = frozenset({"step", "progress"})
 
 
 class LiveState:
-    """An observer that keeps the live view of one run.
+    """An observer that writes the live view of one run.
 
     Args:
         run: The run directory.
-        arm: Tells how the arm is; None where nobody can.
+        arm: Describes the arm by its rows; None for a view without it.
     """
 
     wants_rows = True
@@ -69,7 +69,10 @@ class LiveState:
         kind = event.get("kind")
         if kind == "rows":
             if self._arm is not None:
-                self._shown = self._looked_at(event["rows"])
+                try:
+                    self._shown = self._arm.of(event["rows"])
+                except Exception:  # a driver's rows may be odd; the view has the rest all the same
+                    self._shown = {}
                 self._write()
             return
         self._standing.take(event)
@@ -79,39 +82,31 @@ class LiveState:
             self._write()
 
     def close(self) -> None:
-        """Remove the view; what comes after is not written any more. Idempotent."""
+        """Remove the view; later events are not written any more. Idempotent."""
         with self._writing:
             self._closed = True
             with contextlib.suppress(OSError):
                 self._path.unlink()
 
-    def _looked_at(self, rows: StructArray) -> dict[str, Any]:
-        """How the arm is; where that cannot be told, prompts and progress still are."""
-        assert self._arm is not None
-        try:
-            return self._arm.of(rows)
-        except Exception:  # a driver's rows may be odd in any way
-            return {}
-
     def _write(self) -> None:
         self._next = time.monotonic() + EVERY_S
         about = {"holder": self._holder, "pid": os.getpid(), "updated": utc_now(), "t": time.time()}
         view = {"hil_live": LIVE_VERSION, **self._standing.snapshot(), **self._shown, **about}
-        with self._writing, contextlib.suppress(RecordingError):  # a full disk spoils no run here
+        with self._writing, contextlib.suppress(RecordingError):  # no run ends for lack of a view
             if not self._closed:
                 write_replacing(self._path, json_line(view).encode() + b"\n")
 
 
 def forget_live(run: Path) -> None:
-    """Take away the view that an attempt has left which died: it is not how the run stands."""
+    """Remove the view of an attempt whose process died: it says nothing of the present one."""
     with contextlib.suppress(OSError):
         (run / LIVE_FILE).unlink()
 
 
 def read_live(run: Path) -> dict[str, Any]:
-    """The live view of a run, or the last one of a run that died; empty when there is none.
+    """Return the live view of a run, or the last one of a run that died; empty without one.
 
-    Runs may come from elsewhere: what is not of the kind that is written there is left out.
+    Values of another kind than are written there are left out.
     """
     try:
         view = read_json(run / LIVE_FILE)
@@ -130,9 +125,9 @@ def _is_plain(value: Any) -> bool:
 
 
 def _is_number(value: Any) -> bool:
-    """Whether it is a number to calculate with: neither NaN nor endless nor longer than a float."""
-    known = isinstance(value, int | float) and not isinstance(value, bool)
-    return known and -LARGEST < value < LARGEST
+    """Return whether a value is a number to calculate with: finite, and exact as a float."""
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return is_number and -LARGEST < value < LARGEST
 
 
 _TEXTS = {field.name for field in fields(Standing) if isinstance(field.default, str)}
@@ -140,7 +135,7 @@ _NUMBERS = {field.name for field in fields(Standing)} - _TEXTS | {"t", "percent"
 
 
 def _fits(key: str, value: Any) -> bool:
-    """Whether a value is of the kind that its key has."""
+    """Return whether a value is of the kind that its key has."""
     if key in _NUMBERS:
         return _is_number(value)
     return isinstance(value, str) or key not in _TEXTS
@@ -156,30 +151,30 @@ FIELDS = {
 """Key in the view → field of the state record."""
 
 
-def _arm(told: Mapping[str, Any]) -> dict[str, Any]:
-    """Of every joint all that is told of joints; null where it is not known."""
-    arm = _flat(told)
+def _arm(written: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the arm with a value per joint for each quantity; null if it is not known."""
+    arm = _flat(written)
     count = len(arm["joints"])
     for key in FIELDS:
         values = arm[key] if isinstance(arm.get(key), list) else []
-        known = [value if _is_number(value) else None for value in values]
-        arm[key] = (known + [None] * count)[:count]
+        numbers = [value if _is_number(value) else None for value in values]
+        arm[key] = (numbers + [None] * count)[:count]
     return arm
 
 
-def _flat(told: Mapping[str, Any]) -> dict[str, Any]:
-    """Plain values, and lists of such; odd ones in a list are null, for their places count."""
-    kept: dict[str, Any] = {}
-    for key, value in told.items():
+def _flat(written: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the plain values and the lists of such; odd ones in a list are null."""
+    flat: dict[str, Any] = {}
+    for key, value in written.items():
         if _is_plain(value):
-            kept[key] = value
+            flat[key] = value
         elif isinstance(value, list):
-            kept[key] = [one if _is_plain(one) else None for one in value]
-    return kept
+            flat[key] = [one if _is_plain(one) else None for one in value]
+    return flat
 
 
 def standing_in(view: Mapping[str, Any]) -> Standing:
-    """Where a run stands, from its live view; what the view does not say keeps its default."""
+    """Return where a run stands, by its live view; what the view lacks has its default."""
     standing = Standing()
     for field in fields(Standing):
         value, default = view.get(field.name), getattr(standing, field.name)
@@ -191,23 +186,23 @@ def standing_in(view: Mapping[str, Any]) -> Standing:
 
 
 class ArmView:
-    """What people are shown of an arm that is being read; judges nothing.
+    """Describes an arm that is being read, for the live view; judges nothing.
 
     Args:
-        robot: Joint names and the unit of efforts.
-        interlocks: What watches over the run.
+        robot: With joint names and the unit of efforts.
+        interlocks: Those of the run.
     """
 
     def __init__(self, robot: Capabilities, interlocks: Iterable[Interlock]) -> None:
         self._names = list(robot.joint_names)
         self._clock = robot.clock
         self._unit = "A" if robot.effort_kind == "current" else "N·m"
-        self._watching = [one for one in interlocks if isinstance(one, HasMargin)]
+        self._interlocks = [one for one in interlocks if isinstance(one, HasMargin)]
 
     def of(self, rows: StructArray) -> dict[str, Any]:
-        """The last of some state rows, as `arm` and `interlocks` of the live view.
+        """Return the last of some state rows, as `arm` and `interlocks` of the live view.
 
-        An interlock that cannot tell its margin is left out; what it does is its own affair.
+        An interlock without a margin is left out.
         """
         row = rows[-1]
         arm = {
@@ -221,28 +216,25 @@ class ArmView:
         return {"arm": arm, "interlocks": list(self._margins(rows))}
 
     def _margins(self, rows: StructArray) -> Iterable[dict[str, Any]]:
-        for interlock in self._watching:
+        for interlock in self._interlocks:
             try:
                 margin = interlock.margin(rows)
-                told = margin and {key: _rounded(value) for key, value in margin.to_dict().items()}
-            except Exception:  # noqa: S112 - of a plugin, say: the others are shown
+                facts = margin and {key: _rounded(value) for key, value in margin.to_dict().items()}
+            except Exception:  # noqa: S112 - it may be a plug-in: the others are shown
                 continue
-            if margin and told:
-                told["subject"] = margin.subject or self._name(margin.joint)
-                yield {"name": interlock.name, "action": interlock.action, **told}
-
-    def _name(self, joint: int) -> str:
-        """Of a margin that is no joint's (−1) nothing."""
-        return self._names[joint] if 0 <= joint < len(self._names) else ""
+            if margin and facts:
+                joint = self._names[margin.joint] if 0 <= margin.joint < len(self._names) else ""
+                facts["subject"] = margin.subject or joint
+                yield {"name": interlock.name, "action": interlock.action, **facts}
 
 
 def _numbers(values: Any) -> list[float | None]:
-    """What is not measured is null."""
+    """Return values for JSON; what is not measured is null."""
     return [_rounded(value) for value in values.tolist()]
 
 
 def _rounded(value: Any) -> Any:
-    """Six digits are enough to look at."""
+    """Return a value with six digits, which are enough to look at; NaN and infinity as None."""
     if not isinstance(value, float):
         return value
     return float(f"{value:.6g}") if math.isfinite(value) else None

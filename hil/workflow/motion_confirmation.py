@@ -1,11 +1,12 @@
-"""Confirmation that a real robot may move: its facts are shown, and the answer is recorded.
+"""Confirmation that a real robot may move: the facts of the motion are shown, the answer recorded.
 
 Mocks, loopback addresses and virtual buses need no confirmation (`hil.robot.Address.real`). A real
-robot moves when the operator types its name at the console (`TypedName`), or when the call, the
-file or the form that starts the run names it (`Granted`); otherwise it is not even connected
-(`Unconfirmed`). A `Gate` asks in a run: before connecting whether the robot could be confirmed,
-and before motion whether these facts are. An earlier confirmation holds as long as robot, address
-and payload are the same and the motion goes no further and no faster (`differences`).
+robot moves if the operator types its name at the console (`TypedName`), or if the call, the file or
+the form that starts the run names it (`Granted`); otherwise it is not even connected to
+(`Unconfirmed`). The `Gate` of a run asks twice: before connecting, whether the robot can be
+confirmed at all, and before motion, whether these facts are confirmed. An earlier confirmation
+holds as long as robot, address and payload are the same and the motion goes no further and no
+faster (`differences`).
 """
 
 from __future__ import annotations
@@ -35,21 +36,21 @@ Document = dict[str, Any]
 
 @dataclass(frozen=True)
 class MotionFacts:
-    """What a person has to know before a robot moves.
+    """The facts about a motion that an operator has to know before a robot moves.
 
     Attributes:
         experiment: Name of the experiment; distinguishes the motions of a series.
         robot: Name in its station.
         model, driver: As the station says.
-        address: Where its commands go.
+        address: Address that its commands are sent to.
         identity: Model, serial number and firmware of the controller; empty before connecting.
-        loads: What is mounted, in the order of the plan.
+        loads: Loads in the order of the plan.
         speed_share: Share of the speeds that the spec asks for; below 1 in commissioning runs.
         speed_rad_s: Largest speed of any joint [rad/s].
         speed_limit_rad_s: Largest joint speed that the robot allows [rad/s].
         swept: Duration, ranges of the joints, boxes of tool and elbow.
-        checklist: What must be so before the robot moves.
-        changed: What is not as it was confirmed before, each in a few words; shown only.
+        checklist: Conditions that the operator has to check before the robot moves.
+        changed: Differences from what was confirmed before, each in a few words; shown only.
     """
 
     experiment: str
@@ -173,11 +174,11 @@ def facts_of_all(motions: Sequence[Mapping[str, Any]]) -> Document:
 
 
 class Gate:
-    """Where a run asks whether its robot may move.
+    """Asks in a run whether its robot may move.
 
     Args:
         experiment: Says which robot of which station.
-        confirm: Who confirms the motion of a real robot.
+        confirm: Confirms the motion of a real robot.
         confirmed: Facts that were confirmed before; they hold unless robot, address or payload
             has changed, or the motion goes further or is faster.
     """
@@ -203,7 +204,7 @@ class Gate:
             self._confirm.admit(name, self._at.text)
 
     def facts(self, robot: Robot, plan: Plan) -> MotionFacts | None:
-        """Return what has to be confirmed before a plan is executed; None where nothing has to be.
+        """Return what has to be confirmed before a plan is executed; None if nothing has to be.
 
         Args:
             robot: Admitted and connected, at rest.
@@ -218,7 +219,7 @@ class Gate:
         return None if same and not changed else replace(facts, changed=tuple(changed))
 
     def confirmation(self, robot: Robot, plan: Plan) -> Document | None:
-        """Return the record of the confirmation of a motion; None where none is needed.
+        """Return the record of the confirmation of a motion; None if none is needed.
 
         Args:
             robot: Admitted and connected, at rest.
@@ -235,8 +236,8 @@ class Gate:
         except NotConfirmed as refused:
             if not facts.changed:
                 raise
-            what = f"{refused.message}; not as confirmed before: {'; '.join(facts.changed)}"
-            raise NotConfirmed(what, hint=refused.hint) from None
+            message = f"{refused.message}; not as confirmed before: {'; '.join(facts.changed)}"
+            raise NotConfirmed(message, hint=refused.hint) from None
         return {**answer, "time": utc_now(), "facts": facts.to_dict(), "digest": facts.digest}
 
     def _holds(self, now: Mapping[str, Any]) -> bool:
@@ -245,14 +246,14 @@ class Gate:
 
 
 def _keep_reading(robot: Robot) -> None:
-    """Read the robot, so that its driver neither fills up nor times out while a person reads."""
+    """Read the robot while the facts are read: its driver must neither fill up nor time out."""
     robot.read()
     if isinstance(robot, HasTopics):
         robot.drain()
 
 
 class Confirm(Protocol):
-    """Who confirms that a real robot may move."""
+    """Confirms that a real robot may move."""
 
     def admit(self, robot: str, address: str) -> None:
         """Raise `NotConfirmed` if this robot cannot be confirmed; asked before connecting."""
@@ -262,7 +263,7 @@ class Confirm(Protocol):
 
         Args:
             facts: Of the motion that is about to begin.
-            meanwhile: Called while waiting: it keeps reading the robot.
+            meanwhile: Called while waiting; keeps reading the robot.
 
         Raises:
             NotConfirmed: It was not.
@@ -274,7 +275,7 @@ class Unconfirmed:
     """The default: no real robot moves.
 
     Attributes:
-        hint: How this caller confirms; by default as a call in Python does.
+        hint: How the motion is confirmed here; by default as in a call in Python.
     """
 
     hint: str = ""
@@ -293,12 +294,6 @@ class Unconfirmed:
 
 
 TYPED = "typed"
-
-ANSWER_WITHIN_S = 300.0
-"""The robot is held while its motion is confirmed, and what was shown is about the pose it stands
-in: later answers do not count [s]."""
-
-LOOK_EVERY_S = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -330,11 +325,11 @@ class TypedName:
         meanwhile()
         self.console.forget_typed()
         self.console.say(ask=f"type {facts.robot} to move, Enter to leave it where it is: ")
-        typed = self._typed(meanwhile)
+        typed = typed_line(self.console, meanwhile)
         if typed != facts.robot:
-            said = f"{typed!r} was typed" if typed else "its name was not typed"
+            why = f"{typed!r} was typed" if typed else "its name was not typed"
             raise NotConfirmed(
-                f"{facts.robot} was not confirmed ({said}); nothing has moved",
+                f"{facts.robot} was not confirmed ({why}); nothing has moved",
                 hint=f"run it again and type {facts.robot}",
             )
         return {"how": TYPED, "by": self.who or this_user()}
@@ -344,29 +339,43 @@ class TypedName:
         about = ["", "A real robot is about to move:", *(f"  {line}" for line in facts.lines())]
         self.console.show([*about, *(["Its name also confirms that:", *must] if must else [])])
 
-    def _typed(self, meanwhile: Callable[[], object]) -> str:
-        deadline = time.monotonic() + ANSWER_WITHIN_S
-        while self.console.present and time.monotonic() < deadline:
-            if (line := self.console.line(LOOK_EVERY_S)) is not None:
-                return line
-            meanwhile()
-        return ""
+
+ANSWER_WITHIN_S = 300.0
+"""Longest time for an answer: the robot is held meanwhile, and the facts are about the pose it
+stands in [s]."""
+
+LOOK_EVERY_S = 0.05
+
+
+def typed_line(console: Console, meanwhile: Callable[[], object] = lambda: None) -> str:
+    """Return the line typed within `ANSWER_WITHIN_S`; empty without one.
+
+    Args:
+        console: The terminal.
+        meanwhile: Called while waiting.
+    """
+    deadline = time.monotonic() + ANSWER_WITHIN_S
+    while console.present and time.monotonic() < deadline:
+        if (line := console.line(LOOK_EVERY_S)) is not None:
+            return line
+        meanwhile()
+    return ""
 
 
 def was_shown(confirmation: Mapping[str, Any] | None) -> bool:
-    """Return whether a person has just read the facts at the console."""
+    """Return whether the operator has just read the facts at the console."""
     return confirmation is not None and confirmation["how"] == TYPED
 
 
 @dataclass(frozen=True, slots=True)
 class Granted:
-    """Confirmed beforehand, for what was named then and nothing else.
+    """Confirmed beforehand, for the facts named then and no others.
 
     Attributes:
         how: Recorded: `--yes`, `robot=`, `dashboard`, `armed`.
         who: Recorded; by default the user of this process.
-        facts: What was confirmed, as `MotionFacts.to_dict` has it; keys that are left out may be
-            anything. Of a series also `motions`, the facts of each experiment in order.
+        facts: What was confirmed, as in `MotionFacts.to_dict`; missing keys may have any value. Of
+            a series also `motions`, the facts of each experiment in order.
         more: Recorded, too, such as when and where it was confirmed.
     """
 
@@ -400,16 +409,16 @@ class Granted:
 def _differences_in_series(
     motions: Sequence[Mapping[str, Any]], now: Mapping[str, Any]
 ) -> list[str]:
-    """Return what is not as it was confirmed for this experiment of a series.
+    """Return the differences from what was confirmed for this experiment of a series.
 
-    The experiments before it may have left the arm anywhere they went, so that its own way there
-    may sweep what they swept; payload and speed are its own.
+    The arm may stand anywhere where the experiments before it went, so that the way to the first
+    pose may sweep what they swept; payload and speed are its own.
     """
     different = [f"the experiment {now['experiment']} was not shown"]
     for i, one in enumerate(motions):
         if one["experiment"] == now["experiment"]:
-            so_far = {"swept": _union_of_swept([each["swept"] for each in motions[: i + 1]])}
-            if not (different := differences({**one, **so_far}, now)):
+            union = {"swept": _union_of_swept([each["swept"] for each in motions[: i + 1]])}
+            if not (different := differences({**one, **union}, now)):
                 break
     return different
 
@@ -435,7 +444,7 @@ def _union_of_swept(spaces: Sequence[Mapping[str, Any]]) -> Document:
 
 
 def granted_in(path: Path) -> Granted:
-    """Return a confirmation that was written to a file: `how`, `by` and `facts`.
+    """Return the confirmation of a file: `how`, `by` and `facts`.
 
     Raises:
         DataError: It is no such file.
@@ -458,12 +467,12 @@ def granted_in(path: Path) -> Granted:
 def differences(confirmed: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
     """Return a short text per difference from what was confirmed.
 
-    Only what both have is compared. A motion may sweep less than was confirmed and be slower;
+    Only keys of both are compared. A motion may sweep less than was confirmed and be slower;
     the identity and the checklist of the robot are not compared.
 
     Args:
-        confirmed: As `MotionFacts.to_dict` has it, or part of it.
-        now: The same of what is about to begin.
+        confirmed: As in `MotionFacts.to_dict`, or part of it.
+        now: The same of the motion that is about to begin.
     """
     both = confirmed.keys() & now.keys()
     equal = [key for key in ("robot", "model", "driver", "address", "loads") if key in both]
@@ -489,8 +498,7 @@ def _in_words(key: str, value: Any) -> str:
 JOINT_SLACK_RAD = math.radians(1.0)
 
 BOX_SLACK_M = 0.01
-"""What was confirmed covers a motion that goes so far beyond it: an arm drifts a little while it
-stands."""
+"""A confirmation covers motions that go so much further: an arm drifts a little while it stands."""
 
 
 def _beyond_confirmed(confirmed: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:

@@ -1,16 +1,16 @@
-"""The operator of a run: who answers its prompts, confirms its motion and ends its pauses.
+"""The operator of a run: answers its prompts, confirms its motion and ends its pauses.
 
-A `Desk` is all of it together; `console_desk` makes the one of a run that is started at a
-terminal. Prompts, such as to mount a load, are answered at that terminal, from another one or from
-the dashboard (`ConsoleOperator`; answers from elsewhere arrive through `remote_control`), or from
-a file written before the run (`ScriptedOperator`), for CI and for robots that load themselves::
+A `Desk` is the way to the operator; `console_desk` makes the one of a run that is started at a
+terminal. Prompts, such as to mount a load, are answered at that terminal, at another one or in the
+dashboard (`ConsoleOperator`; answers from elsewhere arrive through `remote_control`), or by a file
+that was written before the run (`ScriptedOperator`), for CI and for robots that load themselves::
 
     - {prompt: Remove everything, answer: yes, who: gripper}
     - {prompt: 3 kg cylinder, answer: yes, who: gripper}
 
-in the order in which the run asks; `prompt` is a part of the text. A mock on a virtual clock
-answers by itself (`prompt_on`). A run whose prompts nobody could answer is refused before anything
-moves (`require_attended`). How motion is confirmed: `motion_confirmation`.
+in the order of the prompts; `prompt` is a part of the text. A mock on a virtual clock answers by
+itself (`prompt_on`). A run with prompts that could not be answered is refused before anything moves
+(`require_attended`). How motion is confirmed: `motion_confirmation`.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ class Desk:
 
     Attributes:
         prompt: Asks for a confirmation.
-        go_on: Looks, without waiting, whether the operator ends a pause.
-        wait_s: How long to wait for a robot that somebody else holds [s].
+        go_on: Returns, without waiting, whether the operator ends a pause.
+        wait_s: How long to wait for a robot that another process holds [s].
         confirm: Confirms that a real robot may move; by default it may not.
     """
 
@@ -55,12 +55,12 @@ def console_desk(
     elsewhere: bool = False,
     confirm: Confirm | None = None,
 ) -> Desk:
-    """The console of this process, and other terminals.
+    """Return the desk of a run that is started at the console of this process.
 
     Args:
-        operator: Who sits there; recorded with what they answer.
+        operator: Name of the operator; recorded with the answers.
         answers: File with the answers to all prompts, in place of asking.
-        wait_s: How long to wait for a robot that somebody else holds [s].
+        wait_s: How long to wait for a robot that another process holds [s].
         elsewhere: Whether prompts wait for answers from other terminals only.
         confirm: Confirms that a real robot may move; by default the operator types its name here.
 
@@ -70,26 +70,27 @@ def console_desk(
     if elsewhere and answers is not None:
         raise SpecError("--answers and --elsewhere are two ways to answer", hint="choose one")
     console = Console(read=not elsewhere)
-    sits = ConsoleOperator(operator or "operator", console, elsewhere=elsewhere)
-    prompt: Prompt = sits if answers is None else load_answers(answers)
-    return Desk(prompt, sits.goes_on, wait_s, confirm or TypedName(console, operator))
+    at_console = ConsoleOperator(operator or "operator", console, elsewhere=elsewhere)
+    prompt: Prompt = at_console if answers is None else load_answers(answers)
+    return Desk(prompt, at_console.goes_on, wait_s, confirm or TypedName(console, operator))
 
 
 NEW_PAUSE_AFTER_S = 3.0
-"""Not looked for so long, a pause is another one: what was typed before does not end it [s]."""
+"""Time without a look at the console after which a pause is a new one: lines typed before do not
+end it [s]."""
 
 WAIT_S = 0.05
 YES, NO = ("y", "yes"), ("n", "no")
 
 
 class ConsoleOperator:
-    """The engine's `Prompt` for a run with somebody beside it.
+    """The engine's `Prompt` for a run with an operator.
 
     Args:
-        who: Recorded for answers given at the console.
-        console: Where this process was started.
-        elsewhere: Whether all answers come from elsewhere: nobody sits at the console, and a mock
-            is asked like any other robot.
+        who: Recorded for answers at the console.
+        console: Of this process.
+        elsewhere: Whether all answers come from elsewhere: the console is not used, and a mock is
+            asked like any other robot.
     """
 
     def __init__(
@@ -110,24 +111,24 @@ class ConsoleOperator:
 
     @property
     def attended(self) -> bool:
-        """Whether there is a console that somebody may sit at."""
+        """Whether there is a console that an operator may sit at."""
         return self._console.present
 
     def listen(self, run: Path | None) -> None:
-        """From now on answers to this run's prompts also come from elsewhere; None ends that."""
+        """Accept answers to this run's prompts from elsewhere, too, from now on; None ends that."""
         self._run = run
         if run is not None:
             self._number = 0  # of its prompts
 
     def answer(self, yes: bool, who: str, prompt: str, asked: int = 0) -> str:
-        """Answer from elsewhere, on another thread; returns why it was not taken, or nothing.
+        """Answer from elsewhere, on another thread; return why it was not taken, or nothing.
 
         Args:
             yes: Whether it is done; a no stops the run.
             who: Recorded.
             prompt: The text that is answered; an answer to another one is not taken.
-            asked: Its number among the prompts of the run: the next one may have the same text.
-                0 where only the text is known.
+            asked: Number of the prompt in this run, as the next one may have the same text; 0 if
+                only the text is known.
         """
         with self._asking:
             if not self._asked:
@@ -136,7 +137,7 @@ class ConsoleOperator:
                 return f"the run asks something else now: {self._asked!r}"
             if asked not in (0, self._number):
                 return f"prompt {asked} is over, the run asks its prompt {self._number} now"
-            if yes and self._answer is not None:  # a no, which stops the run, always counts
+            if yes and self._answer is not None:  # a no counts in any case: it stops the run
                 return f"{self._answer.words} already"
             self._answer = Reply(yes, who)
             return ""
@@ -149,10 +150,10 @@ class ConsoleOperator:
             meanwhile: Called while waiting; see `hil.engine.Prompt`.
 
         Returns:
-            Who answered what; `NOBODY` when nobody could.
+            The answer and its author; `NOBODY` if it could not be answered.
         """
         with self._asking:
-            self._number += 1  # also where nobody can answer: the engine counts it, too
+            self._number += 1  # in any case: the engine counts this prompt, too
         if not (self.attended or self._run):
             return NOBODY
         with self._asking:
@@ -167,7 +168,7 @@ class ConsoleOperator:
                 self._asked = ""
 
     def goes_on(self) -> str:
-        """Who ended a pause by pressing Enter at the console, else nothing; does not wait."""
+        """Return the operator's name if Enter was pressed to end a pause, else nothing; no wait."""
         now = time.monotonic()
         if now - self._looked > NEW_PAUSE_AFTER_S:
             self._console.forget_typed()
@@ -185,11 +186,11 @@ class ConsoleOperator:
 
     def _wait(self, text: str, meanwhile: Callable[[], object]) -> Reply:
         pausing: object = ""
-        while (reply := self._settled()) is None:
+        while (reply := self._final_answer()) is None:
             line = self._console.line(WAIT_S)
             if line is not None and line.lower() in YES + NO:
                 typed = Reply(line.lower() in YES, self._who)
-                return self._settled(typed) or typed
+                return self._final_answer(typed) or typed
             if line is not None:
                 self._console.say(ask="Please type yes or no: ")
             if not (self.attended or self._run):  # the terminal has gone
@@ -201,20 +202,79 @@ class ConsoleOperator:
         self._console.say(f"{reply.words} from another terminal")
         return reply
 
-    def _settled(self, typed: Reply | None = None) -> Reply | None:
-        """What counts of all that was answered by now, if anything was; nothing else is taken then.
+    def _final_answer(self, typed: Reply | None = None) -> Reply | None:
+        """Return the answer that counts, and take no further one; None if there is none yet.
 
         A no that was taken from elsewhere stops the run, whatever is typed in that moment.
         """
         with self._asking:
-            given = [reply for reply in (self._answer, typed) if reply is not None]
-            if not given:
+            replies = [reply for reply in (self._answer, typed) if reply is not None]
+            if not replies:
                 return None
             self._asked = ""
-            return next((reply for reply in given if not reply.yes), given[0])
+            return next((reply for reply in replies if not reply.yes), replies[0])
+
+
+def load_answers(path: str | Path) -> ScriptedOperator:
+    """Return the operator that answers from a YAML file.
+
+    Raises:
+        SpecError: With a line `file:line:column: place: message` for every problem.
+    """
+    source = read_source(path)
+    if isinstance(source.data, list):
+        answers = [_answer_of(source, i, entry) for i, entry in enumerate(source.data)]
+    else:
+        source.add((), "must be a list of answers")
+    if source.problems:
+        raise refuse(source.problems, hint=_FORMAT_HINT)
+    return ScriptedOperator([answer for answer in answers if answer is not None], source)
+
+
+KEYS = ("prompt", "answer", "who")
+WORDS = {"yes": True, "no": False, True: True, False: False}
+
+
+def _answer_of(source: Source, i: int, entry: Any) -> Answer | None:
+    if not isinstance(entry, dict):
+        source.add((i,), "must be a mapping with prompt, answer and who")
+        return None
+    for key in entry.keys() - set(KEYS):
+        source.add((i, key), f"unknown key; {did_you_mean(key, KEYS)}", key=True)
+    for key in ("prompt", "answer"):
+        if key not in entry:
+            source.add((i,), f"{key} is missing")
+    prompt, who = entry.get("prompt", "?"), entry.get("who", "script")
+    for key, text in (("prompt", prompt), ("who", who)):
+        if not (isinstance(text, str) and text.strip()):
+            source.add((i, key), "must be text")
+    word = entry.get("answer", "yes")
+    if not isinstance(word, str | bool) or word not in WORDS:
+        source.add((i, "answer"), f"must be yes or no, not {shown(word)}")
+        return None
+    return Answer(str(prompt), WORDS[word], str(who))
 
 
 _FORMAT_HINT = "a list of {prompt: part of its text, answer: yes or no, who: name}, in order"
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """One answer.
+
+    Attributes:
+        prompt: Part of the text of the prompt, in upper or lower case.
+        yes: Whether it is done; a no stops the run.
+        who: Recorded as the author of the answer.
+    """
+
+    prompt: str
+    yes: bool
+    who: str
+
+    def fits(self, text: str) -> bool:
+        """Return whether it answers this prompt."""
+        return self.prompt.casefold() in text.casefold()
 
 
 class ScriptedOperator:
@@ -232,7 +292,7 @@ class ScriptedOperator:
         self._skipping = False
 
     def __call__(self, text: str, meanwhile: Callable[[], object]) -> Reply:
-        """See `hil.engine.Prompt`; a prompt without its answer raises `SpecError`."""
+        """Answer; see `hil.engine.Prompt`. A prompt without its answer raises `SpecError`."""
         meanwhile()
         while self._skipping and self._misses(self._next, text):
             self._next += 1
@@ -245,11 +305,12 @@ class ScriptedOperator:
         return i < len(self._answers) and not self._answers[i].fits(text)
 
     def require_match(self, prompts: Sequence[str], *, skipping: bool = False) -> None:
-        """Check the answers against everything a run is going to ask; a no ends both.
+        """Compare the answers with all prompts that a run will have; a no ends both.
 
         Args:
             prompts: In order.
-            skipping: Answers that fit nothing are left out: those of a run that is resumed.
+            skipping: Whether answers that fit no prompt are left out: a resumed run has not all of
+                the prompts.
 
         Raises:
             SpecError: A prompt has no answer, or an answer no prompt; with file, line and column.
@@ -298,67 +359,11 @@ class ScriptedOperator:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class Answer:
-    """One answer.
-
-    Attributes:
-        prompt: Part of the text it answers, upper or lower case.
-        yes: Whether it is done; a no stops the run.
-        who: Recorded as who answered.
-    """
-
-    prompt: str
-    yes: bool
-    who: str
-
-    def fits(self, text: str) -> bool:
-        """Whether it answers this prompt."""
-        return self.prompt.casefold() in text.casefold()
-
-
-def load_answers(path: str | Path) -> ScriptedOperator:
-    """Read answers from a YAML file.
-
-    Raises:
-        SpecError: With a line `file:line:column: place: message` for every problem.
-    """
-    source = read_source(path)
-    if isinstance(source.data, list):
-        answers = [_answer_of(source, i, entry) for i, entry in enumerate(source.data)]
-    else:
-        source.add((), "must be a list of answers")
-    if source.problems:
-        raise refuse(source.problems, hint=_FORMAT_HINT)
-    return ScriptedOperator([answer for answer in answers if answer is not None], source)
-
-
-KEYS = ("prompt", "answer", "who")
-WORDS = {"yes": True, "no": False, True: True, False: False}
-
-
-def _answer_of(source: Source, i: int, entry: Any) -> Answer | None:
-    if not isinstance(entry, dict):
-        source.add((i,), "must be a mapping with prompt, answer and who")
-        return None
-    for key in entry.keys() - set(KEYS):
-        source.add((i, key), f"unknown key; {did_you_mean(key, KEYS)}", key=True)
-    for key in ("prompt", "answer"):
-        if key not in entry:
-            source.add((i,), f"{key} is missing")
-    prompt, who = entry.get("prompt", "?"), entry.get("who", "script")
-    for key, text in (("prompt", prompt), ("who", who)):
-        if not (isinstance(text, str) and text.strip()):
-            source.add((i, key), "must be text")
-    word = entry.get("answer", "yes")
-    if not isinstance(word, str | bool) or word not in WORDS:
-        source.add((i, "answer"), f"must be yes or no, not {shown(word)}")
-        return None
-    return Answer(str(prompt), WORDS[word], str(who))
-
-
 def prompt_on(robot: Robot, prompt: Prompt) -> Prompt:
-    """Who answers on this robot: a mock by itself, unless others are said to answer."""
+    """Return what answers on this robot: a mock answers itself, unless answers come from elsewhere.
+
+    Answers from a file and from other terminals (`--answers`, `--elsewhere`) are for testing these.
+    """
     others = isinstance(prompt, ScriptedOperator) or (
         isinstance(prompt, ConsoleOperator) and prompt.elsewhere
     )
@@ -366,37 +371,39 @@ def prompt_on(robot: Robot, prompt: Prompt) -> Prompt:
 
 
 def mock_mounts(text: str, meanwhile: Callable[[], object]) -> Reply:
-    """A robot on a virtual clock is a mock: it mounts the declared load when it is told to."""
+    """Answer for a mock: a robot on a virtual clock mounts the declared load at once."""
     return Reply(yes=True, who="mock")
 
 
 def prompts_of(plan: Plan) -> list[str]:
-    """Everything a plan asks, in order."""
-    asked = (plan.loads[step.load].prompt for step in plan if step.kind == "payload")
-    return [text for text in asked if text]
+    """Return all prompts of a plan, in order."""
+    prompts = (plan.loads[step.load].prompt for step in plan if step.kind == "payload")
+    return [text for text in prompts if text]
 
 
 def require_attended(plan: Plan, prompt: Prompt, *, resumed: bool = False) -> None:
-    """Refuse, before anything moves, a run that would wait for an answer nobody can give.
+    """Raise, before anything moves, if a run has prompts that could not be answered.
 
     Args:
         plan: What is about to be executed.
-        prompt: Who answers, from `prompt_on`.
-        resumed: Whether part of what the answers are for may be behind us.
+        prompt: What answers, from `prompt_on`.
+        resumed: Whether some of the prompts may have been answered in an earlier attempt.
 
     Raises:
-        PreflightFailed: It asks something, and there is no console.
-        SpecError: The answers written down are not those to its prompts.
+        PreflightFailed: It has prompts, and there is no console.
+        SpecError: The answers of a file are not those to its prompts.
     """
-    asked = prompts_of(plan)
+    prompts = prompts_of(plan)
     if isinstance(prompt, ScriptedOperator):
-        prompt.require_match(asked, skipping=resumed)
+        prompt.require_match(prompts, skipping=resumed)
     elif (
-        asked and isinstance(prompt, ConsoleOperator) and not (prompt.attended or prompt.elsewhere)
+        prompts
+        and isinstance(prompt, ConsoleOperator)
+        and not (prompt.attended or prompt.elsewhere)
     ):
-        times = "once" if len(asked) == 1 else f"{len(asked)} times"
+        times = "once" if len(prompts) == 1 else f"{len(prompts)} times"
         raise PreflightFailed(
-            f"the run asks {times} for something to be done (first: {asked[0]!r}), and nobody "
+            f"the run asks {times} for something to be done (first: {prompts[0]!r}), and nobody "
             "could answer: it has no console",
             hint="start it in a terminal, or write the answers down: "
             f"hil {'resume RUN' if resumed else 'run SPEC'} --answers FILE; with --elsewhere it "

@@ -1,4 +1,9 @@
-"""Record a robot that somebody else drives: a run directory with steps found, not planned."""
+"""Passive recording (`hil record`): a robot that another program drives, and nothing is commanded.
+
+The result is a run directory whose steps (dwells, moves, trajectories) are found in the samples and
+not planned. Samples are written as the robot sends them; `hil.importers.Segmenter` marks the
+dwells in them as they pass.
+"""
 
 from __future__ import annotations
 
@@ -29,62 +34,119 @@ from hil.importers import PASSIVE_PLAN_FILE, DetectedSteps, Segmenter
 from hil.planning import BUILT_IN, close_robot, find_station, open_robot
 from hil.recording import Attachment, McapWriter, Recorder, RunDirectory, collect_provenance
 from hil.robot import STATE_TOPIC, HasTopics, Listens, Robot, Status, state_topic
-from hil.spec import Station, StationRobot
+from hil.spec import StationRobot
 from hil.workflow.recording import RunSink, counts_of, describe_robot
 
 
-def listen(
-    wanted: Wanted, *, station: Path | None, runs: Path, tell: Callable[[str], object]
-) -> Listened:
+@dataclass(frozen=True, slots=True)
+class RecordingRequest:
+    """What is to be recorded, and until when; the first end counts. Ctrl-C always ends it.
+
+    Attributes:
+        robot: Name in the station.
+        name: Name of the recording.
+        for_s: Duration by the robot's clock [s]; None for no end.
+        until_program_stops: End when a program, which may still have to begin, has stopped.
+        payload: The mounted load; None if it was not declared.
+        operator: Name of the operator; empty for the user of this process.
+    """
+
+    robot: str
+    name: str = "recording"
+    for_s: float | None = None
+    until_program_stops: bool = False
+    payload: Payload | None = None
+    operator: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class PassiveResult:
+    """The result of a passive recording.
+
+    Attributes:
+        run: The run directory.
+        reason: What ended it, in words.
+        counts: Samples, gaps, missing, duplicates and overruns of the robot record.
+        device_s: Duration from the first sample to the last [s].
+        steps: Number of dwells, moves and trajectories in it.
+        notes: Hints about its use.
+        error: What ended it early; None if nothing did.
+    """
+
+    run: Path
+    reason: str
+    counts: dict[str, int]
+    device_s: float
+    steps: dict[str, int]
+    notes: tuple[str, ...] = ()
+    error: HilError | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the contract of `hil record --json`."""
+        document = {
+            "run": str(self.run),
+            "reason": self.reason,
+            **self.counts,
+            "device_s": self.device_s,
+            "found": self.steps,
+            "notes": list(self.notes),
+        }
+        if self.error is not None:
+            document["error"] = {"kind": type(self.error).__name__, "message": self.error.message}
+        return document
+
+
+def record_passively(
+    request: RecordingRequest,
+    *,
+    station: Path | None,
+    runs: Path,
+    tell: Callable[[str], object],
+) -> PassiveResult:
     """Record a robot without driving it.
 
     Args:
-        wanted: What, and until when.
+        request: What to record, and until when.
         station: Station file; by default as for `hil run`, from the present folder.
         runs: Where run directories are kept.
-        tell: Is told how it goes, a line at a time.
+        tell: Called with the progress, a line at a time.
 
     Raises:
         SpecError: The station has no such robot.
-        PluginError: Its driver cannot listen.
+        PluginError: Its driver cannot record passively.
         RobotError: It cannot be reached.
         RecordingError: The run directory cannot be made, or its end not be written.
     """
     bench, text, source = find_station(Path.cwd(), station)
-    entry = _entry(bench, wanted.robot)
+    entry = bench.robots.get(request.robot)
+    if entry is None:
+        raise SpecError(
+            f"the station {bench.name!r} has no robot {request.robot!r}",
+            hint=did_you_mean(request.robot, bench.robots) + " (or choose another --station)",
+        )
     # In this process, whatever the station says: there is no arm that would have to be stopped.
-    robot = open_robot(wanted.robot, entry.model_copy(update={"own_process": False}))
+    robot = open_robot(request.robot, entry.model_copy(update={"own_process": False}))
     with SignalWatch() as signals:
         try:
-            require_listener(robot, entry.driver).listen()
+            _require_listener(robot, entry.driver).listen()
             with signals.guard():
                 directory = RunDirectory.create(
                     runs,
-                    wanted.robot,
-                    wanted.name,
+                    request.robot,
+                    request.name,
                     begin=lambda draft: write_start(
-                        draft, wanted, robot, entry, text or f"# {BUILT_IN}\n", source
+                        draft, request, robot, entry, text or f"# {BUILT_IN}\n", source
                     ),
                 )
                 with hold_run(directory.path):
                     tell(f"recording → {directory.path}")
-                    return ListeningRun(directory, wanted, robot, signals, tell).run()
+                    return PassiveRun(directory, request, robot, signals, tell).record()
         finally:
             close_robot(robot)
 
 
-def _entry(bench: Station, name: str) -> StationRobot:
-    entry = bench.robots.get(name)
-    if entry is None:
-        raise SpecError(
-            f"the station {bench.name!r} has no robot {name!r}",
-            hint=did_you_mean(name, bench.robots) + " (or choose another --station)",
-        )
-    return entry
-
-
-def require_listener(robot: Robot, driver: str) -> Listens:
-    """The robot as one that can be listened to.
+def _require_listener(robot: Robot, driver: str) -> Listens:
+    """Return the robot as one that can be recorded passively.
 
     Raises:
         PluginError: Its driver has not opted into `hil.robot.Listens`.
@@ -97,88 +159,66 @@ def require_listener(robot: Robot, driver: str) -> Listens:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Wanted:
-    """What is to be recorded, and until when; whatever comes first. Ctrl-C always ends it.
+def write_start(
+    directory: RunDirectory,
+    request: RecordingRequest,
+    robot: Robot,
+    entry: StationRobot,
+    station_text: str,
+    station_source: str,
+) -> None:
+    """Store the station and the start document; its `passive` distinguishes it from a run's.
 
-    Attributes:
-        robot: Name in the station.
-        name: What people shall call the recording.
-        for_s: Duration by the robot's clock [s]; None for no end.
-        until_program_stops: End when a program, which may still have to begin, has stopped.
-        payload: What is mounted; None when nobody has said.
-        operator: Who is at the robot; empty for the user of this process.
+    Raises:
+        RecordingError: The disk refuses.
     """
-
-    robot: str
-    name: str = "recording"
-    for_s: float | None = None
-    until_program_stops: bool = False
-    payload: Payload | None = None
-    operator: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Listened:
-    """What was recorded.
-
-    Attributes:
-        run: The run directory.
-        reason: What ended it, in words.
-        counts: Samples, gaps, missing, duplicates and overruns of the robot record.
-        device_s: From the first sample to the last [s].
-        steps: How many dwells, moves and trajectories were found.
-        notes: For people.
-        error: What ended it early.
-    """
-
-    run: Path
-    reason: str
-    counts: dict[str, int]
-    device_s: float
-    steps: dict[str, int]
-    notes: tuple[str, ...] = ()
-    error: HilError | None = None
-
-    def to_dict(self) -> dict[str, Any]:
-        """The contract of `hil record --json`."""
-        out = {
-            "run": str(self.run),
-            "reason": self.reason,
-            **self.counts,
-            "device_s": self.device_s,
-            "found": self.steps,
-            "notes": list(self.notes),
+    directory.write_text("station.yaml", station_text)
+    provenance = collect_provenance()
+    if request.operator:
+        provenance["operator"] = request.operator
+    payload = request.payload or Payload()
+    directory.write_start(
+        provenance
+        | {
+            "passive": True,
+            "experiment": request.name,
+            "station": station_source,
+            "robot_name": request.robot,
+            "robot": describe_robot(robot, entry),
+            "loads": [
+                {
+                    "mass_kg": payload.mass,
+                    "com_m": list(payload.com),
+                    "inertia_kgm2": list(payload.inertia),
+                    "declared": request.payload is not None,
+                }
+            ],
         }
-        if self.error is not None:
-            out["error"] = {"kind": type(self.error).__name__, "message": self.error.message}
-        return out
+    )
 
 
 STOPPED_FOR_S = 1.0
 """A program that is replaced by another one stops in between, for less than this [s]."""
 
 SILENT_FOR_S = 5.0
-"""A robot that has nothing to say for so long is taken to be gone [s]."""
-
-Tell = Callable[[str], object]
+"""A robot that sends nothing for so long is taken to be gone [s]."""
 
 NOT_USABLE = Status.FAULT | Status.MASKED
 """Bits of `status` of which either says that the effort is no measurement."""
 
 
-class ListeningRun:
-    """One recording, from its first row to its stop document."""
+class PassiveRun:
+    """One passive recording, from its first row to its stop document."""
 
     def __init__(
         self,
         directory: RunDirectory,
-        wanted: Wanted,
+        request: RecordingRequest,
         robot: Robot,
         signals: SignalWatch,
-        tell: Tell,
+        tell: Callable[[str], object],
     ) -> None:
-        self._directory, self._wanted, self._robot = directory, wanted, robot
+        self._directory, self._request, self._robot = directory, request, robot
         self._signals, self._tell = signals, tell
         self._segmenter, self._steps = Segmenter(), DetectedSteps()
         self._first = self._last = float("nan")
@@ -186,19 +226,19 @@ class ListeningRun:
         self._running_at = float("nan")
         self._unusable = 0
 
-    def run(self) -> Listened:
-        """Record until the end; whatever ends it is written down."""
+    def record(self) -> PassiveResult:
+        """Record until the end; the stop document is written whatever it is."""
         recorder: Recorder | None = None
         sink: RunSink | None = None
         error: HilError | None = None
         reason = ""
         try:
-            recorder = open_recorder(self._directory, self._robot, self._wanted)
+            recorder = open_recorder(self._directory, self._robot, self._request)
             sink = RunSink(self._directory, recorder)
-            sink.event("listening", robot=self._wanted.robot)
+            sink.event("listening", robot=self._request.robot)
             while not reason:
                 self._take(sink)
-                reason = self._signals.reason if self._signals.seen else self._over(sink)
+                reason = self._signals.reason if self._signals.seen else self._why_over(sink)
         except HilError as problem:
             error, reason = problem, problem.message
         return self._finish(recorder, sink, reason, error)
@@ -225,8 +265,8 @@ class ListeningRun:
             self._steps.add(rows)
             sink.put(rows)
 
-    def _over(self, sink: RunSink) -> str:
-        """Why the recording is over; empty while it is not."""
+    def _why_over(self, sink: RunSink) -> str:
+        """Return why the recording is over; empty while it is not."""
         assert isinstance(self._robot, Listens)
         if self._robot.program_running:
             if not self._began:
@@ -237,9 +277,9 @@ class ListeningRun:
             self._began = False
             self._tell("the program has stopped")
             sink.event("program", running=False, device_time=self._last)
-            if self._wanted.until_program_stops:
+            if self._request.until_program_stops:
                 return "the program has stopped"
-        for_s = self._wanted.for_s
+        for_s = self._request.for_s
         if for_s is not None and self._last - self._first >= for_s:
             return f"{for_s:g} s are over"
         return ""
@@ -250,100 +290,48 @@ class ListeningRun:
         sink: RunSink | None,
         reason: str,
         error: HilError | None,
-    ) -> Listened:
+    ) -> PassiveResult:
         problems: list[HilError] = []
         if sink is not None:
-            held = self._segmenter.flush()
-            if held is not None:
-                with contextlib.suppress(HilError):  # closing says what it is
-                    self._put(sink, held)
+            waiting = self._segmenter.flush()
+            if waiting is not None:
+                with contextlib.suppress(HilError):  # closing reports it
+                    self._put(sink, waiting)
             problems = sink.close()
         error = error or (problems[0] if problems else None)
-        found = self._steps.counts()
-        self._write_plan()
+        steps, steps_by_kind = self._steps.steps(), self._steps.counts()
+        robot = self._directory.start["robot"]
+        payload = self._request.payload or Payload()
+        plan = self._steps.document(name=self._request.name, robot=robot, payload=payload)
+        with contextlib.suppress(HilError):  # it can be detected again from the rows
+            self._directory.write_json(PASSIVE_PLAN_FILE, plan)
         counts = counts_of(recorder.counts[STATE_TOPIC]) if recorder else {}
         device_s = self._last - self._first if math.isfinite(self._last) else 0.0
         notes = (
-            *_notes(self._wanted, counts),
+            *_notes(self._request, counts),
             *unusable_notes(self._unusable, counts),
-            *fit_notes(found, self._directory.start["robot"]),
+            *fit_notes(steps_by_kind, robot),
         )
         document = {
             **counts,
-            "steps_done": len(self._steps.steps()),
+            "steps_done": len(steps),
             "unsettled": [],
-            "complete": {kind: {"done": n, "of": n} for kind, n in found.items()},
+            "complete": {kind: {"done": n, "of": n} for kind, n in steps_by_kind.items()},
             "device_s": device_s,
             "exit_code": exit_code_of(error) if error else 0,
             "problems": [*(one.message for one in problems)],
         }
         self._directory.write_stop("failed" if error else "completed", reason, document)
-        return Listened(self._directory.path, reason, counts, device_s, found, notes, error)
-
-    def _write_plan(self) -> None:
-        plan = self._steps.document(
-            name=self._wanted.name,
-            robot=self._directory.start["robot"],
-            payload=self._wanted.payload or Payload(),
+        return PassiveResult(
+            self._directory.path, reason, counts, device_s, steps_by_kind, notes, error
         )
-        with contextlib.suppress(HilError):  # it can be detected again from the rows
-            self._directory.write_json(PASSIVE_PLAN_FILE, plan)
-
-
-def _notes(wanted: Wanted, counts: dict[str, int]) -> tuple[str, ...]:
-    notes = []
-    if wanted.payload is None:
-        notes.append(
-            "no load declared: 0 kg assumed; declare one with --payload MASS_KG[,X_M,Y_M,Z_M]"
-        )
-    if counts.get("missing"):
-        notes.append(f"{counts['missing']} samples are missing in {counts['gaps']} gaps")
-    return tuple(notes)
 
 
 ROTATE_BYTES = 1e9
 
 
-def write_start(
-    directory: RunDirectory,
-    wanted: Wanted,
-    robot: Robot,
-    entry: StationRobot,
-    station_text: str,
-    station_source: str,
-) -> None:
-    """Store the station and the start document; `passive` tells it from a run.
-
-    Raises:
-        RecordingError: The disk refuses.
-    """
-    directory.write_text("station.yaml", station_text)
-    provenance = collect_provenance()
-    if wanted.operator:
-        provenance["operator"] = wanted.operator
-    payload = wanted.payload or Payload()
-    directory.write_start(
-        provenance
-        | {
-            "passive": True,
-            "experiment": wanted.name,
-            "station": station_source,
-            "robot_name": wanted.robot,
-            "robot": describe_robot(robot, entry),
-            "loads": [
-                {
-                    "mass_kg": payload.mass,
-                    "com_m": list(payload.com),
-                    "inertia_kgm2": list(payload.inertia),
-                    "declared": wanted.payload is not None,
-                }
-            ],
-        }
-    )
-
-
-def open_recorder(directory: RunDirectory, robot: Robot, wanted: Wanted) -> Recorder:
-    """The recorder of the robot record and of whatever else the robot tells.
+def open_recorder(directory: RunDirectory, robot: Robot, request: RecordingRequest) -> Recorder:
+    """Return the recorder of the robot record and of the robot's further topics.
 
     Raises:
         RecordingError: The file cannot be made.
@@ -357,7 +345,7 @@ def open_recorder(directory: RunDirectory, robot: Robot, wanted: Wanted) -> Reco
     text = (directory.path / "start.json").read_bytes()
 
     def open_part(part: int) -> McapWriter:
-        about = {"uid": str(start["uid"]), "name": wanted.name, "attempt": "0", "part": str(part)}
+        about = {"uid": str(start["uid"]), "name": request.name, "attempt": "0", "part": str(part)}
         return McapWriter(
             directory.part_path(0, part),
             topics,
@@ -374,11 +362,22 @@ def open_recorder(directory: RunDirectory, robot: Robot, wanted: Wanted) -> Reco
     )
 
 
+def _notes(request: RecordingRequest, counts: dict[str, int]) -> tuple[str, ...]:
+    notes = []
+    if request.payload is None:
+        notes.append(
+            "no load declared: 0 kg assumed; declare one with --payload MASS_KG[,X_M,Y_M,Z_M]"
+        )
+    if counts.get("missing"):
+        notes.append(f"{counts['missing']} samples are missing in {counts['gaps']} gaps")
+    return tuple(notes)
+
+
 def unusable_notes(rows: int, counts: Mapping[str, int]) -> tuple[str, ...]:
-    """That an arm was switched off, braked or stopped while it was recorded.
+    """Return a note if the arm was switched off, braked or stopped for a part of the recording.
 
     Args:
-        rows: Samples that say so.
+        rows: Number of such samples.
         counts: Of the recording.
     """
     if not rows:
@@ -389,15 +388,15 @@ def unusable_notes(rows: int, counts: Mapping[str, int]) -> tuple[str, ...]:
     )
 
 
-def fit_notes(found: Mapping[str, int], robot: Mapping[str, Any]) -> tuple[str, ...]:
-    """That there are fewer dwells than gravity has parameters, where there is nothing else to use.
+def fit_notes(steps: Mapping[str, int], robot: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return a note if the dwells are too few for a fit, and there are no trajectories.
 
     Args:
-        found: Dwells, moves and trajectories.
+        steps: Number of dwells, moves and trajectories.
         robot: Of the start document.
     """
-    dwells = found.get("dwell", 0)
-    need = 0 if found.get("trajectory") else dwells_needed(robot)
+    dwells = steps.get("dwell", 0)
+    need = 0 if steps.get("trajectory") else dwells_needed(robot)
     if dwells >= need:
         return ()
     return (

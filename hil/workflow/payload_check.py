@@ -1,16 +1,16 @@
 """Payload check: is the load that is mounted the load declared? Judged before anything is measured.
 
-The engine hands over what every dwell measured (`Engine(..., measured=check.measured)`). At each
-weighing pose the arm rests twice, approached from below and from above: the mean of the two is the
-torque, half their difference the friction (`combined_reading`). What a load adds to the torques of
-the first one at the same poses is compared with what the declared loads would add, so that
-friction and what is not known of the arm cancel (`compare_loads`). The first load itself is taken
-on trust. A `LoadVerdict` has figures for people and for the event log; a load that is not as
-declared stops the run, unless that was waived.
+The engine passes on the settled rows of every dwell (`Engine(..., measured=check.measured)`). At
+each weighing pose the arm rests twice, approached from below and from above: the mean of the two is
+the torque, half their difference the friction (`combined_reading`). What a load adds to the torques
+of the first one at the same poses is compared with what the declared loads would add, so that
+friction and model errors of the arm cancel (`compare_loads`). The first load itself is not checked.
+A `LoadVerdict` has the result for operators and for the event log; a load that is not the declared
+one stops the run, unless that was waived.
 
-A resumed run takes what its first load weighed from the recordings of earlier attempts
-(`readings_of_earlier_attempts`). A check counts once its attempt went on past it: one that was
-refused, or given up, says nothing about the load that was measured with.
+A resumed run takes the weighing of its first load from the recordings of earlier attempts
+(`readings_of_earlier_attempts`). A weighing counts if its attempt went on to measure: one that was
+refused, or given up, says nothing about the load of the measurements.
 """
 
 from __future__ import annotations
@@ -50,22 +50,22 @@ AGAIN_HINT = (
 
 
 class RecordEvent(Protocol):
-    """Where results go; a sink's `event`."""
+    """Records results; a sink's `event`."""
 
     def __call__(self, kind: str, **details: Any) -> object:
         """Record an event."""
 
 
 class PayloadCheck:
-    """Weighs the loads of one run; says at once when it is not going to.
+    """Checks the loads of one run; records at the beginning if it will not.
 
     Args:
         plan: Of the whole run.
         gravity: (3,) in the base frame [m/s²].
-        robot: What its efforts are, and its drive gains.
-        tolerance: Of the spec; None when it switches weighing off.
+        robot: With the kind of its efforts and its drive gains.
+        tolerance: Of the spec; None if it switches the check off.
         event: Called with every result.
-        waived: Whether a load that is not as declared is recorded and nothing more.
+        waived: Whether a load that is not the declared one is recorded and nothing more.
     """
 
     def __init__(
@@ -91,20 +91,24 @@ class PayloadCheck:
                 self._steps.setdefault(step.load, []).append(step)
         self._not_weighed = why_plan_not_weighed(plan, robot)
         if not self._not_weighed:
-            # Here and not when it is needed: the arm is about to be watched all the time.
+            # Now: while the arm moves there is no time for it.
             self._model = load_model(plan.robot_model, gravity=gravity)
         elif is_sweep(plan):
             self._event(CHECK, result="skipped", reason=self._not_weighed)
 
     def measured(self, step: Step, rows: StructArray) -> None:
-        """Take note of a dwell's settled rows; after the last one of a load, judge the load.
+        """Read a dwell's settled rows; after the last dwell of a load, judge the load.
 
         Raises:
-            PreflightFailed: The load is not the one declared, or nobody can say; not if waived.
+            PreflightFailed: The load is not the declared one, or cannot be weighed; not if waived.
         """
         if self._not_weighed or step.kind != "weigh":
             return
-        self._read(step, rows)
+        try:
+            settle_rad_s = self._plan.dwell_rule(step).settle_rad_s
+            self._readings[step.index] = reading_of(rows, self._gains, settle_rad_s)
+        except DataError as error:
+            self._readings[step.index] = error.message
         if step.index == self._steps[step.load][-1].index:
             self._judge(step.load)
 
@@ -121,15 +125,6 @@ class PayloadCheck:
         self._readings.update(readings)
         self._before = self._together(0)
 
-    def _read(self, step: Step, rows: StructArray) -> None:
-        try:
-            settle_rad_s = self._plan.dwell_rule(step).settle_rad_s
-            reading = reading_of(rows, self._gains, settle_rad_s)
-        except DataError as error:
-            self._readings[step.index] = error.message
-        else:
-            self._readings[step.index] = reading
-
     def _judge(self, load: int) -> None:
         first, this = self._together(0), self._together(load)
         if isinstance(first, str) or isinstance(this, str):
@@ -143,7 +138,7 @@ class PayloadCheck:
             self._first(this)
 
     def _first(self, this: LoadReading) -> None:
-        """The first load is taken on trust, and that is said if it should not have to be."""
+        """Record the first load, which is not checked unless an earlier attempt has weighed it."""
         if self._before is None:
             self._event(CHECK, load=0, result="first", **friction_figures(this))
             return
@@ -152,37 +147,33 @@ class PayloadCheck:
         self._event(CHECK, load=0, result="inconclusive", problem=problem, **friction_figures(this))
 
     def _compare(self, load: int, first: LoadReading, this: LoadReading) -> None:
-        """Judge what a load adds to the first one; to itself, that is nothing."""
+        """Judge what a load adds to the first one; the first load itself should add nothing."""
         loads = self._plan.loads[0].payload, self._plan.loads[load].payload
-        found = compare_loads(self._model, self._steps[load], loads, (first, this))
+        comparison = compare_loads(self._model, self._steps[load], loads, (first, this))
         masses = [each.payload.mass for each in self._plan.loads]
         verdict = LoadVerdict(
-            found, self._tolerance, nearest_alternative_kg(masses, load), again=load == 0
+            comparison, self._tolerance, difference_kg(masses, load), again=load == 0
         )
-        if verdict.passed:
-            self._pass(load, verdict)
-            return
-        problem = f"load {load}: {verdict.text(self._plan.joint_names)}"
-        self._refuse(load, problem, verdict.figures)
-
-    def _pass(self, load: int, verdict: LoadVerdict) -> None:
-        """Nothing speaks against the load; whether anything would have is another matter."""
-        if verdict.conclusive:
-            self._event(CHECK, load=load, result="passed", **verdict.figures)
-            return
-        problem = f"load {load}: {verdict.doubt}"
-        self._event(CHECK, load=load, result="inconclusive", problem=problem, **verdict.figures)
+        figures = verdict.figures
+        if not verdict.passed:
+            problem = f"load {load}: {verdict.text(self._plan.joint_names)}"
+            self._refuse(load, problem, figures)
+        elif verdict.conclusive:
+            self._event(CHECK, load=load, result="passed", **figures)
+        else:
+            problem = f"load {load}: {verdict.doubt}"
+            self._event(CHECK, load=load, result="inconclusive", problem=problem, **figures)
 
     def _together(self, load: int) -> LoadReading | str:
-        """The readings of a load, or why there are none."""
-        found: dict[tuple[int, int], Reading] = {}
+        """Return the reading of a load from all of its dwells, or why there is none."""
+        readings: dict[tuple[int, int], Reading] = {}
         for step in self._steps[load]:
             reading = self._readings.get(step.index, "nothing was recorded")
             if isinstance(reading, str):
                 side = "below" if step.approach > 0 else "above"
                 return f"at weighing pose {step.pose + 1} from {side}, {reading}"
-            found[step.pose, step.approach] = reading
-        return combined_reading(found)
+            readings[step.pose, step.approach] = reading
+        return combined_reading(readings)
 
     def _refuse(self, load: int, problem: str, figures: dict[str, Any]) -> None:
         result = "waived" if self._waived else "failed"
@@ -201,15 +192,20 @@ class Reading:
 
 
 def gains_of(robot: Capabilities) -> FloatArray | float:
-    """What turns this robot's efforts into torques: (n,) drive gains [N·m/A], or 1."""
+    """Return the factor from a robot's efforts to torques: (n,) drive gains [N·m/A], or 1."""
     return np.array(robot.drive_gains) if robot.effort_kind == "current" else 1.0
 
 
 def reading_of(rows: StructArray, gains: FloatArray | float, settle_rad_s: float) -> Reading:
-    """What the settled rows of a dwell say; `gains` (n,) turns efforts into torques.
+    """Return the reading of the settled rows of a dwell.
+
+    Args:
+        rows: State rows.
+        gains: Of `gains_of`.
+        settle_rad_s: Joint speed below which the arm is at rest [rad/s].
 
     Raises:
-        DataError: They say nothing that could be relied on.
+        DataError: The arm did not rest, or no effort was measured.
     """
     usable = rows[(rows["status"] & (Status.MASKED | Status.FAULT)) == 0]
     effort: FloatArray = usable["effort"] * gains
@@ -228,12 +224,12 @@ def reading_of(rows: StructArray, gains: FloatArray | float, settle_rad_s: float
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadReading:
-    """One load at all poses, both approaches put together.
+    """One load at all P poses, from both approaches.
 
     Attributes:
         torque: (P, n) mean of the two approaches [N·m].
-        half_difference: (P, n) of the two approaches: friction [N·m].
-        variance: (n,) of `torque`: what friction leaves, and noise [N²·m²].
+        half_difference: (P, n) half the difference of the two approaches: friction [N·m].
+        variance: (n,) variance of `torque`, from remaining friction and noise [N²·m²].
     """
 
     torque: FloatArray
@@ -247,7 +243,7 @@ deviation); measured on the mock, see docs/explanation/weighing.md."""
 
 
 def combined_reading(readings: Mapping[tuple[int, int], Reading]) -> LoadReading:
-    """The readings of one load by pose and approach (±1), put together."""
+    """Return the reading of one load, from its readings by pose and approach (±1)."""
     poses = sorted({pose for pose, _ in readings})
     below, above = ([readings[pose, sign] for pose in poses] for sign in (1, -1))
     up, down = (np.array([one.torque for one in side]) for side in (below, above))
@@ -258,8 +254,8 @@ def combined_reading(readings: Mapping[tuple[int, int], Reading]) -> LoadReading
 
 
 CHANGE_LEFT = 0.5
-"""Share of what that half difference has changed by since the first load: friction that one side
-alone has lost or gained moves the mean as well, and the arm has become warmer."""
+"""Share of the change of the half difference since the first load that adds to the error of the
+mean: friction may have changed on one side alone, as the arm has become warmer."""
 
 LEAST_NM = 0.01
 """Least standard deviation of a torque [N·m]: a simulation without noise has none."""
@@ -270,15 +266,15 @@ class LoadComparison:
     """A load as weighed, beside what was declared.
 
     Attributes:
-        declared: The load.
+        declared: The declared load.
         first_kg: Declared mass of the first load, which it is weighed against.
-        weighed_kg: Its mass if its centre of mass is where it was declared to be.
-        deviation_kg: Standard deviation of that.
-        free_kg: Its mass wherever its centre is.
-        free_deviation_kg: Standard deviation of that.
-        shift_m: (3,) how far the centre of mass is from there, flange frame; NaN without a load.
+        weighed_kg: Its mass, if its centre of mass is the declared one.
+        deviation_kg: Standard deviation of `weighed_kg`.
+        free_kg: Its mass, wherever its centre of mass is.
+        free_deviation_kg: Standard deviation of `free_kg`.
+        shift_m: (3,) its centre of mass minus the declared one, flange frame; NaN without a load.
         shift_deviation_m: Standard deviation along `shift_m`.
-        declared_nm, found_nm: (P, n) torque beyond that of the first load.
+        declared_nm, found_nm: (P, n) torque beyond that of the first load, declared and weighed.
     """
 
     declared: Payload
@@ -316,56 +312,59 @@ def compare_loads(
     at = {step.pose: step.motion.q_end for step in steps if step.motion is not None}
     columns = static_columns(model, np.array([at[pose] for pose in sorted(at)]))
     declared = columns @ (static_parameters(load) - static_parameters(first))
-    found: FloatArray = readings[1].torque - readings[0].torque
+    weighed: FloatArray = readings[1].torque - readings[0].torque
     deviation = _deviation(*readings)
-    # What turns out heavier than declared comes with the gain errors of what it is.
-    torque = np.where(np.abs(found) > np.abs(declared), found, declared)
-    seen: Weighed = Balance(columns, torque, deviation, load.com).weigh(found - declared)
+    # Errors of the gains are a share of the torque: the larger one, in case it is another load.
+    torque = np.where(np.abs(weighed) > np.abs(declared), weighed, declared)
+    excess: Weighed = Balance(columns, torque, deviation, load.com).weigh(weighed - declared)
     per_kg = np.nan if load.is_empty else 1 / load.mass
     return LoadComparison(
         declared=load,
         first_kg=first.mass,
-        weighed_kg=load.mass + seen.mass,
-        deviation_kg=seen.mass_deviation,
-        free_kg=load.mass + seen.free_mass,
-        free_deviation_kg=seen.free_mass_deviation,
-        shift_m=seen.moment * per_kg,
-        shift_deviation_m=seen.moment_deviation * per_kg,
+        weighed_kg=load.mass + excess.mass,
+        deviation_kg=excess.mass_deviation,
+        free_kg=load.mass + excess.free_mass,
+        free_deviation_kg=excess.free_mass_deviation,
+        shift_m=excess.moment * per_kg,
+        shift_deviation_m=excess.moment_deviation * per_kg,
         declared_nm=declared,
-        found_nm=found,
+        found_nm=weighed,
     )
 
 
 def _deviation(first: LoadReading, this: LoadReading) -> FloatArray:
-    """(P, n) standard deviation of the difference of two loads' torques, gains left out [N·m]."""
+    """Return the (P, n) standard deviation of the difference of two loads' torques [N·m].
+
+    Errors of the drive gains are not in it.
+    """
     change = CHANGE_LEFT * (this.half_difference - first.half_difference)
     variance = first.variance + this.variance + change**2
     return np.asarray(np.sqrt(np.maximum(variance, LEAST_NM**2)))
 
 
 SURE = 4.0
-"""In standard deviations: what is no further off than this may be the weighing's own error."""
+"""Number of standard deviations up to which a difference may be the weighing's own error."""
 
 TELLING = 0.5
-"""Share of the difference between two loads that a limit must stay below to tell them apart."""
+"""A limit below this share of the difference between two loads tells them apart."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadVerdict:
-    """A comparison and how far off it may be.
+    """The verdict on a load: a comparison and its limits.
 
-    A weighing that is less certain than the tolerances ask for (a short reach, stiff joints) is
-    judged by its own certainty. Where there is no declared centre of mass, or the load's is
-    another, the mass that counts is the one that takes no notice of where that is.
+    A weighing that is less certain than the tolerances (a short reach, high friction) is judged by
+    its own certainty. If no centre of mass is declared, or the load has another one, the mass that
+    counts is `free_kg`, which does not depend on it.
 
     Attributes:
-        found: The load as weighed.
+        comparison: The load as weighed.
         tolerance: Of the spec.
-        differs_kg: By how much the load differs from what may hang there instead, see `differs`.
-        again: Whether it is the first load itself, against what it weighed in an earlier attempt.
+        differs_kg: Difference to the load that may be mounted instead, see `difference_kg`.
+        again: Whether it is the first load, compared with its weighing in an earlier attempt.
     """
 
-    found: LoadComparison
+    comparison: LoadComparison
     tolerance: Weigh
     differs_kg: float
     again: bool = False
@@ -373,37 +372,37 @@ class LoadVerdict:
     @property
     def weighed_kg(self) -> float:
         """The mass that counts."""
-        return self.found.weighed_kg if self._centre_known else self.found.free_kg
+        return self.comparison.weighed_kg if self._centre_known else self.comparison.free_kg
 
     @property
     def deviation_kg(self) -> float:
         """Standard deviation of `weighed_kg`."""
-        found = self.found
-        return found.deviation_kg if self._centre_known else found.free_deviation_kg
+        load = self.comparison
+        return load.deviation_kg if self._centre_known else load.free_deviation_kg
 
     @property
     def mass_limit_kg(self) -> float:
-        """How far off the mass may be."""
-        tolerance, found = self.tolerance, self.found
-        difference = abs(found.declared.mass - found.first_kg)
+        """Largest difference of the mass from the declared one that passes."""
+        tolerance, load = self.tolerance, self.comparison
+        difference = abs(load.declared.mass - load.first_kg)
         tolerated = tolerance.tolerance_kg + tolerance.tolerance_percent / 100 * difference
         return max(tolerated, SURE * self.deviation_kg)
 
     @property
     def com_limit_m(self) -> float:
-        """How far off the centre of mass may be."""
-        sure = SURE * self.found.shift_deviation_m
+        """Largest distance of the centre of mass from the declared one that passes."""
+        sure = SURE * self.comparison.shift_deviation_m
         return max(self.tolerance.tolerance_com_m, sure if np.isfinite(sure) else 0.0)
 
     @property
     def mass_passed(self) -> bool:
-        """Whether the mass is near enough to what was declared."""
-        return abs(self.weighed_kg - self.found.declared.mass) <= self.mass_limit_kg
+        """Whether the mass is near enough to the declared one."""
+        return abs(self.weighed_kg - self.comparison.declared.mass) <= self.mass_limit_kg
 
     @property
     def com_passed(self) -> bool:
-        """Whether the centre of mass is near enough to where it was declared to be."""
-        return self.found.distance_m <= self.com_limit_m
+        """Whether the centre of mass is near enough to the declared one."""
+        return self.comparison.distance_m <= self.com_limit_m
 
     @property
     def passed(self) -> bool:
@@ -418,73 +417,73 @@ class LoadVerdict:
     @property
     def figures(self) -> dict[str, Any]:
         """Plain numbers for the event log."""
-        found = self.found
-        out: dict[str, Any] = {
-            "declared_kg": found.declared.mass,
+        load = self.comparison
+        figures: dict[str, Any] = {
+            "declared_kg": load.declared.mass,
             "weighed_kg": _plain(self.weighed_kg),
             "deviation_kg": _plain(self.deviation_kg),
             "limit_kg": _plain(self.mass_limit_kg),
             "differs_kg": _plain(self.differs_kg),
-            "declared_nm": _plain(found.declared_nm),
-            "found_nm": _plain(found.found_nm),
+            "declared_nm": _plain(load.declared_nm),
+            "found_nm": _plain(load.found_nm),
         }
-        if not found.declared.is_empty:
-            out |= {
-                "com_m": list(found.declared.com),
-                "shift_m": _plain(found.shift_m),
-                "shift_deviation_m": _plain(found.shift_deviation_m),
+        if not load.declared.is_empty:
+            figures |= {
+                "com_m": list(load.declared.com),
+                "shift_m": _plain(load.shift_m),
+                "shift_deviation_m": _plain(load.shift_deviation_m),
                 "shift_limit_m": _plain(self.com_limit_m),
             }
-        return out
+        return figures
 
     def text(self, joint_names: Sequence[str]) -> str:
-        """What is wrong, joint by joint."""
+        """Return what is wrong, with the torques joint by joint."""
         headline = self._masses
         if not self.com_passed:
             headline += f"; {self._centre()}"
-        return "\n".join([headline, *_by_joint(self.found, joint_names)])
+        return "\n".join([headline, *_by_joint(self.comparison, joint_names)])
 
     @property
     def doubt(self) -> str:
-        """Why a load that passed may be another one all the same."""
+        """Why a load that passed may not be the declared one all the same."""
         apart = f"{self.differs_kg:.2f} kg"
         return f"{self._masses}, which does not tell loads apart that differ by {apart}"
 
     @property
     def _masses(self) -> str:
-        found = self.found
+        load = self.comparison
         earlier = " in an earlier attempt" if self.again else ""
         return (
-            f"{found.declared.mass:.2f} kg declared, {self.weighed_kg:.2f} ± "
-            f"{self.deviation_kg:.2f} kg weighed against the {found.first_kg:.2f} kg of load 0"
+            f"{load.declared.mass:.2f} kg declared, {self.weighed_kg:.2f} ± "
+            f"{self.deviation_kg:.2f} kg weighed against the {load.first_kg:.2f} kg of load 0"
             f"{earlier} (limit ± {self.mass_limit_kg:.2f} kg)"
         )
 
     @property
     def _centre_known(self) -> bool:
-        return self.com_passed and not self.found.declared.is_empty
+        return self.com_passed and not self.comparison.declared.is_empty
 
     def _centre(self) -> str:
-        found = self.found
-        seen = np.array(found.declared.com) + found.shift_m
+        load = self.comparison
+        seen = np.array(load.declared.com) + load.shift_m
         return (
-            f"centre of mass at {_point(found.declared.com)} m declared, near {_point(seen)} m "
-            f"weighed: {1e3 * found.distance_m:.0f} ± {1e3 * found.shift_deviation_m:.0f} mm away "
+            f"centre of mass at {_point(load.declared.com)} m declared, near {_point(seen)} m "
+            f"weighed: {1e3 * load.distance_m:.0f} ± {1e3 * load.shift_deviation_m:.0f} mm away "
             f"(limit {1e3 * self.com_limit_m:.0f} mm)"
         )
 
 
 def _plain(value: FloatArray | float) -> Any:
-    """JSON-ready, to a tenth of a gram and of a millinewton metre; None for what is unknown."""
+    """Return a value for JSON, to a tenth of a gram and of a millinewton metre; None if unknown."""
     if isinstance(value, np.ndarray):
         return [_plain(item) for item in value]
     return round(float(value), 4) if np.isfinite(value) else None
 
 
-def _by_joint(found: LoadComparison, joint_names: Sequence[str]) -> list[str]:
+def _by_joint(load: LoadComparison, joint_names: Sequence[str]) -> list[str]:
     declared, weighed = (
         [", ".join(f"{round(value, 1) + 0.0:.1f}" for value in column) for column in torque.T]
-        for torque in (found.declared_nm, found.found_nm)
+        for torque in (load.declared_nm, load.found_nm)
     )
     lines = [
         f"  {name}: {a} declared, {b} weighed;"
@@ -497,10 +496,10 @@ def _point(at: Sequence[float] | FloatArray) -> str:
     return f"({', '.join(f'{x:.3f}' for x in at)})"
 
 
-def nearest_alternative_kg(masses: Sequence[float], load: int) -> float:
-    """By how much [kg] a load differs from the first one, which may have been left on.
+def difference_kg(masses: Sequence[float], load: int) -> float:
+    """Return by how much a load differs from the first one, which may still be mounted [kg].
 
-    One that weighs the same as the first: from the load of another mass that is nearest.
+    Of a load that weighs the same as the first: from the nearest other mass; 0 if there is none.
     """
     own = masses[load]
     others = [abs(own - other) for other in masses if other != own]
@@ -508,27 +507,27 @@ def nearest_alternative_kg(masses: Sequence[float], load: int) -> float:
 
 
 def friction_figures(first: LoadReading) -> dict[str, Any]:
-    """What the first load's weighing says beside being the first: friction, pose by pose."""
+    """Return the figures of the first load for the event log: friction, pose by pose."""
     return {"half_difference_nm": _plain(first.half_difference)}
 
 
 Readings = dict[int, Reading | str]
-"""Weighing dwell → what it says, or why it says nothing."""
+"""Index of a weighing dwell → its reading, or why there is none."""
 
 
 def readings_of_earlier_attempts(
     plan: Plan, recordings: Iterable[Path], robot: Capabilities
 ) -> Readings:
-    """The first load's weighing dwells in the newest attempt whose weighing counts.
+    """Return the readings of the first load in the newest attempt whose weighing counts.
 
     Args:
         plan: Of the whole run.
         recordings: `RunDirectory.recordings`.
-        robot: What its efforts are, and its drive gains.
+        robot: With the kind of its efforts and its drive gains.
 
     Returns:
-        Nothing when no attempt went on past it, or nothing is weighed in this run. Reasons only
-        when none of those that did can be read.
+        Nothing if no attempt went on to measure, or if nothing is weighed in this run. Reasons
+        instead of readings only if none of the attempts that went on can be read.
 
     Raises:
         DataError: A recording is no MCAP file at all, or of a newer hil.
@@ -537,15 +536,15 @@ def readings_of_earlier_attempts(
     if why_plan_not_weighed(plan, robot):
         return {}
     past = {step.index for step in plan if step.measures or step.load}
-    found: Readings = {}
+    newest: Readings = {}
     for rows, seen in recorded_steps(recordings, steps):
         # An attempt under later loads alone had no need to weigh the first one.
-        if seen.isdisjoint(past) or (found and not rows):
+        if seen.isdisjoint(past) or (newest and not rows):
             continue
         own = {index: _reading_of_step(plan, steps[index], rows, robot) for index in steps}
-        if all_reliable(own) or not all_reliable(found):
-            found = own
-    return found
+        if all_reliable(own) or not all_reliable(newest):
+            newest = own
+    return newest
 
 
 def _reading_of_step(
@@ -564,5 +563,5 @@ def _reading_of_step(
 
 
 def all_reliable(readings: Mapping[int, Reading | str]) -> bool:
-    """Whether there are readings and each of them can be relied on."""
+    """Return whether there are readings, and no reasons in place of one."""
     return bool(readings) and not any(isinstance(one, str) for one in readings.values())

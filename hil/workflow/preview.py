@@ -1,9 +1,9 @@
-"""What an experiment would do, before anything moves: its plan, its preview, its trajectories.
+"""Plan, preview and trajectories of an experiment, before anything moves.
 
 `planned` makes the plan for the robot of an experiment, from the pose where it stands if it may be
-asked; `plan` and `preview_experiment` return what follows from it. `appraise_excitation` (behind
-`hil excite`) finds the trajectories alone, or takes them from the cache, and compares them with
-random ones.
+connected to; `plan` and `preview_experiment` return what follows from it. `appraise_excitation`
+(behind `hil excite`) optimises the trajectories alone, or takes them from the cache, and compares
+them with random ones.
 """
 
 from __future__ import annotations
@@ -61,16 +61,16 @@ WITHOUT_THE_ROBOT = (
 def planned(
     experiment: Experiment, *, connect: bool = False, watch: Watch = unwatched
 ) -> Iterator[tuple[Robot, Plan, bool]]:
-    """The robot, the plan, and whether it begins where the robot stands now.
+    """Yield the robot, the plan, and whether it begins where the robot stands now.
 
-    A robot in wall time is left alone unless it is to be connected to: plans are made at desks,
-    before the arm is switched on, and while others drive it. Its plan begins in the roomiest pose
-    of its range then, at the rate and within the limits that its driver knows by itself.
+    A robot in wall time is not connected to by default: plans are made at desks, before the arm is
+    switched on, and while others use it. Its plan then begins in the roomiest pose of its range, at
+    the rate and within the limits that its driver knows without a connection.
 
     Args:
         experiment: Says which robot of which station.
         connect: Plan from where a robot in wall time stands now, too; it is leased meanwhile.
-        watch: Is told how far trajectories are that take long to compute.
+        watch: Called with the progress of trajectories that take long to compute.
 
     Raises:
         RobotConnectionError, PluginError, SpecError, RobotError: See `held`.
@@ -95,10 +95,10 @@ def planned(
 
 
 def plan(experiment: Experiment, *, connect: bool = False) -> Plan:
-    """What the robot would do; nothing moves.
+    """Return the plan of an experiment; nothing moves.
 
-    A robot on a virtual clock is asked where it stands. One in wall time is not connected to: its
-    plan begins in the roomiest pose of its range.
+    The plan of a robot on a virtual clock begins where it stands. One in wall time is not connected
+    to: its plan begins in the roomiest pose of its range.
 
     Args:
         experiment: From `load`.
@@ -109,19 +109,19 @@ def plan(experiment: Experiment, *, connect: bool = False) -> Plan:
         RobotError: The robot cannot be asked where it stands, or another process holds it.
     """
     require_experiment(experiment)
-    with planned(experiment, connect=connect) as (_, made, _):
-        return made
+    with planned(experiment, connect=connect) as (_, plan, _):
+        return plan
 
 
 def preview_experiment(
     experiment: Experiment, *, connect: bool = False, watch: Watch = unwatched
 ) -> tuple[Plan, PlanPreview]:
-    """The plan and what it amounts to; nothing moves.
+    """Return the plan of an experiment and its preview; nothing moves.
 
     Args:
         experiment: What would be done, and where.
         connect: See `planned`.
-        watch: Is told how far trajectories are that take long to compute.
+        watch: Called with the progress of trajectories that take long to compute.
 
     Raises:
         SpecError: The arm cannot do it, or it would give no result.
@@ -138,20 +138,25 @@ def preview_experiment(
 def appraise_excitation(
     experiment: Experiment, *, fresh: bool = False, watch: Watch = unwatched
 ) -> ExcitationReport:
-    """Find an experiment's trajectories, or take them from the cache, and appraise them.
+    """Optimise an experiment's trajectories, or take them from the cache, and appraise them.
 
     The robot is not connected to.
 
     Args:
         experiment: What would be done, and where.
         fresh: Optimise again what the cache has.
-        watch: Is told how far it is.
+        watch: Called with the progress.
 
     Raises:
         SpecError: The excitation has no trajectories, or asks for more than the arm can do.
         PlanError: No motion does what the spec asks for.
     """
-    spec = _with_trajectories(experiment.spec)
+    spec = experiment.spec
+    if not isinstance(spec.excitation, Fourier):
+        raise SpecError(
+            f"{spec.name} is a {spec.excitation.kind} program, which has no trajectories",
+            hint="`hil plan` shows what it does; `hil excite` is for excitation.kind: fourier",
+        )
     with opened(spec.robot, experiment.robot) as robot:
         rate_hz = robot.capabilities.rate_hz
     arm = plannable_arm(experiment.robot)
@@ -160,32 +165,25 @@ def appraise_excitation(
             "\n".join(map(str, problems)), hint="change these values, or take another robot"
         )
     workspace = workspace_of(spec, experiment.robot, arm, rate_hz)
-    roadmap, heard = roadmap_of(workspace), _Heard(watch)
+    roadmap, progress = roadmap_of(workspace), _Progress(watch)
     cache = user_cache(fresh=fresh)
-    setting = setting_of(spec, experiment.robot, arm, workspace, watch=heard, cache=cache)
+    setting = setting_of(spec, experiment.robot, arm, workspace, watch=progress, cache=cache)
     began = time.monotonic()
     motions = _trajectories_of(spec, roadmap, setting)
     seconds = time.monotonic() - began
     appraisal = _appraised(spec, roadmap, setting, motions)
     random = None
-    if (drawn := _drawn(spec)) is not None:
+    if spec.excitation.optimise is not None:  # else they are random themselves
+        unoptimised = spec.excitation.model_copy(update={"optimise": None})
+        drawn = spec.model_copy(update={"excitation": unoptimised})
         random = _appraised(spec, roadmap, setting, _trajectories_of(drawn, roadmap, setting))
     return ExcitationReport(
-        experiment, appraisal, random, len(heard.computed), seconds, tuple(heard.notes)
+        experiment, appraisal, random, len(progress.computed), seconds, tuple(progress.notes)
     )
 
 
-def _with_trajectories(spec: ExperimentSpec) -> ExperimentSpec:
-    if not isinstance(spec.excitation, Fourier):
-        raise SpecError(
-            f"{spec.name} is a {spec.excitation.kind} program, which has no trajectories",
-            hint="`hil plan` shows what it does; `hil excite` is for excitation.kind: fourier",
-        )
-    return spec
-
-
-class _Heard:
-    """Passes advances on, and remembers what was computed and noted."""
+class _Progress:
+    """Passes progress on, and remembers which trajectories were computed, and notes."""
 
     def __init__(self, watch: Watch) -> None:
         self._watch = watch
@@ -212,28 +210,20 @@ def _appraised(
     spec: ExperimentSpec, roadmap: Roadmap, setting: Setting, motions: Sequence[FourierSeries]
 ) -> Appraisal:
     assert isinstance(spec.excitation, Fourier)
-    asked = spec.excitation.optimise
+    optimise = spec.excitation.optimise
     return appraise(
         motions,
         roadmap.workspace,
         setting,
         limits_of(spec.excitation, roadmap, setting),
-        rotor=asked is None or asked.rotor,
-        friction=asked is not None and asked.friction,
+        rotor=optimise is None or optimise.rotor,
+        friction=optimise is not None and optimise.friction,
     )
 
 
-def _drawn(spec: ExperimentSpec) -> ExperimentSpec | None:
-    """The same spec with random trajectories; None where it has those already."""
-    if getattr(spec.excitation, "optimise", None) is None:
-        return None
-    drawn = spec.excitation.model_copy(update={"optimise": None})
-    return spec.model_copy(update={"excitation": drawn})
-
-
-def limits_of(asked: Fourier, roadmap: Roadmap, setting: Setting) -> Limits:
-    """What the trajectories of a spec have to keep to."""
-    workspace, optimise = roadmap.workspace, asked.optimise
+def limits_of(program: Fourier, roadmap: Roadmap, setting: Setting) -> Limits:
+    """Return the limits of the trajectories of a program."""
+    workspace, optimise = roadmap.workspace, program.optimise
     ones = np.ones(len(workspace.joint_names))
     jerk = optimise.max_jerk_deg_s3 if optimise else None
     clearance_mm = optimise.clearance_mm if optimise else None

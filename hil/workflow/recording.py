@@ -1,8 +1,9 @@
-"""One recorded run: robot, plan, run directory, preflight, motion. No fitting in here.
+"""The motion of a run: robot, plan, run directory, preflight, engine. Nothing is fitted in here.
 
-A run is recorded in attempts. An `Attempt` has what it begins with; its end is written down however
-it comes. What the engine says goes to a `RunSink`: samples to the recorder, events to the log and
-the recorder.
+A run is recorded in attempts: `record` makes the first one, `hil.workflow.resuming` further ones.
+An `Attempt` has everything that was written before the motion; `execute` ends it with a stop
+document, whatever happens. What the engine measures and reports goes to a `RunSink`: samples to the
+recorder, events to the event log and the recorder.
 """
 
 from __future__ import annotations
@@ -52,21 +53,61 @@ from hil.workflow.payload_check import PayloadCheck, Readings
 from hil.workflow.remote_control import Control, hold_attempt
 
 
+@dataclass(frozen=True, slots=True)
+class Attendance:
+    """Operator, observers and signals of a run.
+
+    Attributes:
+        observers: Receive progress events.
+        signals: Open; guards the motion.
+        prompt: Asks the operator; a robot on a virtual clock answers by itself.
+        go_on: Returns whether the operator ends a pause.
+        operator: Name of the operator; empty for the user of this process.
+        waivers: Preflight check → why its failure is accepted.
+        wait_s: How long to wait for a robot that another process holds [s].
+        confirm: Confirms that a real robot may move.
+        until_judged: Holds what stays open until the run has been judged and reported.
+    """
+
+    observers: Observers
+    signals: SignalWatch
+    prompt: Prompt
+    go_on: GoOn = nobody_goes_on
+    operator: str = ""
+    waivers: Mapping[str, str] = field(default_factory=dict)
+    wait_s: float = 0.0
+    confirm: Confirm = field(default_factory=Unconfirmed)
+    until_judged: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
+
+    def stage(self, text: str) -> None:
+        """Publish what is done now."""
+        self.observers.publish({"kind": "stage", "stage": text})
+
+    def planned(self, plan: Plan) -> None:
+        """Publish the space that the motions of `plan` sweep, before anything moves."""
+        space = swept(plan, load_arm(plan.robot_model))
+        self.observers.publish({"kind": "plan", **space.to_dict(), "lines": space.lines()})
+
+    def computing(self, advance: Advance) -> None:
+        """Publish the progress of trajectories that take long to compute."""
+        self.observers.publish(advance.to_event())
+
+
 def record(
     experiment: Experiment, *, runs: Path, attendance: Attendance, opened: Robot | None = None
 ) -> Recorded:
-    """Plan, check and execute; leaves a complete run directory however it ends.
+    """Plan, check and execute; leaves a complete run directory, whatever happens.
 
     Args:
         experiment: What to do, and where.
         runs: Where run directories are kept.
-        attendance: Who and what attends it.
+        attendance: Operator, observers and signals.
         opened: The robot, if it is open already.
 
     Raises:
         SpecError, PlanError, PluginError, RobotError: Before a run directory exists.
-        PreflightFailed: It asks for something to be done, and nobody could answer; or the disk has
-            no room for what a run begins with.
+        PreflightFailed: The run has prompts that could not be answered, or the disk has no room for
+            what a run begins with.
         NotConfirmed: The robot is a real one, and its motion was not confirmed.
         RecordingError: The run directory cannot be made.
     """
@@ -113,7 +154,7 @@ def record(
 
 
 def require_usable(experiment: Experiment, robot: Robot) -> None:
-    """Refuse before any motion what would only fail after hours of it: units and plug-ins.
+    """Raise before any motion what would only fail after hours of it: units and plug-ins.
 
     A commissioning run is neither fitted nor judged, so it needs none of them.
 
@@ -147,9 +188,9 @@ def write_beginning(
         experiment: What is done, and where.
         robot: Connected.
         plan: What is executed.
-        operator: Who is at the robot; empty for the user of this process.
+        operator: Name of the operator; empty for the user of this process.
         waivers: Preflight check → why its failure is accepted.
-        confirmation: How the motion of a real robot was confirmed; None where it need not be.
+        confirmation: How the motion of a real robot was confirmed; None if it need not be.
 
     Raises:
         RecordingError: The disk refuses.
@@ -160,6 +201,7 @@ def write_beginning(
     provenance = collect_provenance(spec_folder=experiment.folder)
     if operator:
         provenance["operator"] = operator
+    part = experiment.commissioning
     directory.write_start(
         provenance
         | {
@@ -173,7 +215,7 @@ def write_beginning(
             "robot": describe_robot(robot, experiment.robot),
             "loads": loads_document(plan.loads),
             "seed": experiment.spec.excitation.seed,
-            **_commissioning(experiment),
+            **({} if part is None else {"commissioning": part.to_dict()}),
             **({"occasion": experiment.occasion} if experiment.occasion else {}),
             **({"confirmation": dict(confirmation)} if confirmation else {}),
             "waivers": [
@@ -184,13 +226,8 @@ def write_beginning(
     )
 
 
-def _commissioning(experiment: Experiment) -> dict[str, Any]:
-    given = experiment.commissioning
-    return {} if given is None else {"commissioning": given.to_dict()}
-
-
 def describe_robot(robot: Robot, station_robot: StationRobot) -> dict[str, Any]:
-    """What the start document says about the robot."""
+    """Return what the start document says about the robot."""
     can = robot.capabilities
     digest = model_sha256(station_robot.model)
     return {
@@ -207,10 +244,91 @@ def describe_robot(robot: Robot, station_robot: StationRobot) -> dict[str, Any]:
     }
 
 
+def whole(source: str) -> str:
+    """Return an absolute path: a run may be resumed from another working directory."""
+    return str(Path(source).resolve()) if Path(source).is_file() else source
+
+
+COUNTED = ("samples", "gaps", "missing", "duplicates", "overruns")
+NOTHING: Mapping[str, int] = dict.fromkeys(COUNTED, 0)
+
+
+@dataclass(frozen=True, slots=True)
+class Before:
+    """What earlier attempts of a run recorded.
+
+    Attributes:
+        counts: Of the robot record, see `Recorded.counts`.
+        device_s: Duration of their samples by the robot's clock [s].
+        first_load: Payload check of the first load, see `readings_of_earlier_attempts`.
+    """
+
+    counts: Mapping[str, int] = field(default_factory=lambda: NOTHING)
+    device_s: float = 0.0
+    first_load: Readings = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Attempt:
+    """An attempt that is about to be executed.
+
+    Attributes:
+        directory: The run; everything before the motion is written.
+        number: 0 for the first attempt.
+        experiment: Spec and station.
+        plan: Of the whole run.
+        todo: The part of the plan that is executed now, from where the robot stands.
+        interlocks: Those of the spec, for this robot and plan.
+        before: What the attempts before this one recorded.
+    """
+
+    directory: RunDirectory
+    number: int
+    experiment: Experiment
+    plan: Plan
+    todo: Plan
+    interlocks: RunInterlocks
+    before: Before = field(default_factory=lambda: Before())
+
+
+def execute(attempt: Attempt, robot: Robot, attendance: Attendance) -> Recorded:
+    """Check and execute an attempt; leaves a stop document, whatever happens.
+
+    Signals must be guarded.
+
+    Raises:
+        RecordingError: The recording cannot be opened; the stop document says so too.
+    """
+    directory, number = attempt.directory, attempt.number
+    open_files, around = contextlib.ExitStack(), contextlib.ExitStack()
+    try:
+        recorder = open_recorder(directory, number, robot, attempt.experiment)
+        open_files.callback(_quietly, recorder.close)
+        sink = RunSink(directory, recorder)
+        open_files.callback(_quietly, sink.close)
+        engine = _engine(attempt, robot, attendance, recorder, sink, around)
+    except BaseException as error:
+        around.close()
+        open_files.close()
+        with contextlib.suppress(HilError):
+            directory.write_stop("failed", str(error) or type(error).__name__, attempt=number)
+        raise
+    attendance.signals.bind(engine, robot)
+    result = engine.run(_preflight(attempt, robot, attendance))
+    result = replace(result, notes=(*result.notes, *close_robot(robot)))
+    around.close()
+    return finish(attempt, result, recorder, sink, attendance.observers)
+
+
+def _quietly(close: Callable[[], object]) -> None:
+    with contextlib.suppress(HilError):
+        close()
+
+
 def open_recorder(
     directory: RunDirectory, attempt: int, robot: Robot, experiment: Experiment
 ) -> Recorder:
-    """The recorder of a new attempt, with what explains the data at the start of the file.
+    """Return the recorder of a new attempt; its files begin with the documents of the run.
 
     Raises:
         RecordingError: The file cannot be made.
@@ -246,83 +364,6 @@ def _media_type(name: str) -> str:
     return "application/json" if name.endswith(".json") else "application/yaml"
 
 
-def whole(source: str) -> str:
-    """A file as anybody finds it: whoever goes on starts somewhere else, perhaps."""
-    return str(Path(source).resolve()) if Path(source).is_file() else source
-
-
-@dataclass(frozen=True, slots=True)
-class Attendance:
-    """Who and what attends a run.
-
-    Attributes:
-        observers: Receive progress events.
-        signals: Open; guards the motion.
-        prompt: Asks the operator; a robot on a virtual clock confirms by itself.
-        go_on: Looks whether the operator ends a pause.
-        operator: Who is at the robot; empty for the user of this process.
-        waivers: Preflight check → why its failure is accepted.
-        wait_s: How long to wait for a robot that somebody else holds [s].
-        confirm: Confirms that a real robot may move.
-        until_judged: What is to stay open until the run has been judged and reported.
-    """
-
-    observers: Observers
-    signals: SignalWatch
-    prompt: Prompt
-    go_on: GoOn = nobody_goes_on
-    operator: str = ""
-    waivers: Mapping[str, str] = field(default_factory=dict)
-    wait_s: float = 0.0
-    confirm: Confirm = field(default_factory=Unconfirmed)
-    until_judged: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
-
-    def stage(self, text: str) -> None:
-        """Tell observers what is being done."""
-        self.observers.publish({"kind": "stage", "stage": text})
-
-    def planned(self, plan: Plan) -> None:
-        """Publish the space that the motions of `plan` sweep, before anything moves."""
-        space = swept(plan, load_arm(plan.robot_model))
-        self.observers.publish({"kind": "plan", **space.to_dict(), "lines": space.lines()})
-
-    def computing(self, advance: Advance) -> None:
-        """Tell observers how far trajectories are that take long to compute."""
-        self.observers.publish(advance.to_event())
-
-
-def execute(attempt: Attempt, robot: Robot, attendance: Attendance) -> Recorded:
-    """Check and execute; leaves a stop document however it ends. Signals must be guarded.
-
-    Raises:
-        RecordingError: The recording cannot be opened; the stop document says so too.
-    """
-    directory, number = attempt.directory, attempt.number
-    open_files, around = contextlib.ExitStack(), contextlib.ExitStack()
-    try:
-        recorder = open_recorder(directory, number, robot, attempt.experiment)
-        open_files.callback(_quietly, recorder.close)
-        sink = RunSink(directory, recorder)
-        open_files.callback(_quietly, sink.close)
-        engine = _engine(attempt, robot, attendance, recorder, sink, around)
-    except BaseException as error:
-        around.close()
-        open_files.close()
-        with contextlib.suppress(HilError):
-            directory.write_stop("failed", str(error) or type(error).__name__, attempt=number)
-        raise
-    attendance.signals.bind(engine, robot)
-    result = engine.run(_preflight(attempt, robot, attendance))
-    result = replace(result, notes=(*result.notes, *close_robot(robot)))
-    around.close()
-    return finish(attempt, result, recorder, sink, attendance.observers)
-
-
-def _quietly(close: Callable[[], object]) -> None:
-    with contextlib.suppress(HilError):
-        close()
-
-
 def _engine(
     attempt: Attempt,
     robot: Robot,
@@ -331,7 +372,7 @@ def _engine(
     sink: RunSink,
     around: contextlib.ExitStack,
 ) -> Engine:
-    """The engine, and `around` it what is to be closed after it."""
+    """Return the engine; what is to be closed after its run is added to `around`."""
     directory, interlocks = attempt.directory, attempt.interlocks.all
     attempt.interlocks.watch_recording(directory.path, recorder)
     around.callback(interlocks.close)
@@ -360,7 +401,7 @@ def _engine(
 def _payload_check(
     attempt: Attempt, robot: Robot, sink: RunSink, attendance: Attendance
 ) -> PayloadCheck:
-    """The judge of what is mounted; in a resumed run it knows what the first load weighed."""
+    """Return the payload check; in a resumed run it knows what the first load weighed."""
     experiment = attempt.experiment
     check = PayloadCheck(
         attempt.plan,
@@ -389,55 +430,13 @@ def _preflight(attempt: Attempt, robot: Robot, attendance: Attendance) -> Callab
     return check
 
 
-COUNTED = ("samples", "gaps", "missing", "duplicates", "overruns")
-NOTHING: Mapping[str, int] = dict.fromkeys(COUNTED, 0)
-
-
-@dataclass(frozen=True, slots=True)
-class Before:
-    """What earlier attempts of a run recorded.
-
-    Attributes:
-        counts: Of the robot record, see `Recorded.counts`.
-        device_s: Device time of their samples [s].
-        first_load: What the first load weighed, see `readings_of_earlier_attempts`.
-    """
-
-    counts: Mapping[str, int] = field(default_factory=lambda: NOTHING)
-    device_s: float = 0.0
-    first_load: Readings = field(default_factory=dict)
-
-
-@dataclass(frozen=True, slots=True)
-class Attempt:
-    """What is about to be executed.
-
-    Attributes:
-        directory: The run; everything before the motion is written.
-        number: 0 for the first attempt.
-        experiment: Spec and station.
-        plan: Of the whole run.
-        todo: What of it is to be executed now, from where the robot stands.
-        interlocks: Watch over it.
-        before: What the attempts before this one recorded.
-    """
-
-    directory: RunDirectory
-    number: int
-    experiment: Experiment
-    plan: Plan
-    todo: Plan
-    interlocks: RunInterlocks
-    before: Before = field(default_factory=lambda: Before())
-
-
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """What the motion left behind.
+    """A run whose motion has ended.
 
     Attributes:
         directory: The run directory, complete up to its stop document.
-        result: How the run ended; a recording that could not be kept makes it `failed`.
+        result: How the run ended; `failed` if the recording lacks something.
         counts: `samples`, `gaps`, `missing`, `duplicates`, `overruns` of the robot record, over
             all attempts.
     """
@@ -447,10 +446,51 @@ class Recorded:
     counts: Mapping[str, int]
 
 
+class RunSink:
+    """The engine's sink for one attempt.
+
+    Args:
+        directory: Of the run; its event log is continued.
+        recorder: Of the attempt.
+    """
+
+    def __init__(self, directory: RunDirectory, recorder: Recorder) -> None:
+        self._log = directory.event_log()
+        self._recorder = recorder
+
+    def put(self, rows: StructArray) -> None:
+        """See `hil.engine.Sink`."""
+        self._recorder.put(STATE_TOPIC, rows)
+
+    def put_topic(self, topic: str, rows: StructArray) -> None:
+        """See `hil.engine.Sink`."""
+        self._recorder.put(topic, rows)
+
+    def event(self, kind: str, **details: Any) -> None:
+        """See `hil.engine.Sink`."""
+        self._recorder.put_event(self._log.append(kind, **details))
+
+    def health(self) -> Mapping[str, float]:
+        """Return gaps and backlog of the recording, for progress events."""
+        counts = counts_of(self._recorder.counts[STATE_TOPIC])
+        del counts["samples"]
+        return {**counts, "behind_s": self._recorder.behind_s}
+
+    def close(self) -> list[HilError]:
+        """Finish recording and log; return what went wrong in either."""
+        problems = []
+        for close in (self._recorder.close, self._log.close):
+            try:
+                close()
+            except HilError as error:
+                problems.append(error)
+        return problems
+
+
 def finish(
     attempt: Attempt, result: RunResult, recorder: Recorder, sink: RunSink, observers: Observers
 ) -> Recorded:
-    """Close everything, then write the stop document, whatever went wrong in closing."""
+    """Close everything, then write the stop document, whatever goes wrong in closing."""
     lost = sink.close()
     complete, problem = _completeness(attempt)
     notes = (*result.notes, *(e.message for e in lost), *observers.problems())
@@ -479,9 +519,9 @@ def finish(
 
 
 def _completeness(attempt: Attempt) -> tuple[Completeness | None, HilError | None]:
-    """What was measured, from the data; and an error when it cannot be told, or lacks something.
+    """Return what was measured, by the recording; and an error if it is unreadable or incomplete.
 
-    Motion that came to its end is no success if the recording has not got it.
+    Motion that came to its end is no success if its recording lacks a part.
     """
     try:
         complete = completeness_of(attempt.plan, attempt.directory.recordings)
@@ -504,57 +544,16 @@ def _completeness(attempt: Attempt) -> tuple[Completeness | None, HilError | Non
 
 
 def _steps_done(attempt: Attempt, result: RunResult) -> int:
-    """Steps of the plan that need not be executed any more."""
+    """Return the number of steps of the plan that need not be executed any more."""
     left = {step.index for step in attempt.todo.steps[result.steps_done :] if step.index >= 0}
     return len(attempt.plan) - len(left)
 
 
-class RunSink:
-    """The engine's sink for one attempt.
-
-    Args:
-        directory: Of the run; its event log is continued.
-        recorder: Of the attempt.
-    """
-
-    def __init__(self, directory: RunDirectory, recorder: Recorder) -> None:
-        self._log = directory.event_log()
-        self._recorder = recorder
-
-    def put(self, rows: StructArray) -> None:
-        """See `hil.engine.Sink`."""
-        self._recorder.put(STATE_TOPIC, rows)
-
-    def put_topic(self, topic: str, rows: StructArray) -> None:
-        """See `hil.engine.Sink`."""
-        self._recorder.put(topic, rows)
-
-    def event(self, kind: str, **details: Any) -> None:
-        """See `hil.engine.Sink`."""
-        self._recorder.put_event(self._log.append(kind, **details))
-
-    def health(self) -> Mapping[str, float]:
-        """How the recording is doing, for progress events."""
-        counts = self._recorder.counts[STATE_TOPIC]
-        told = {name: int(getattr(counts, name)) for name in COUNTED if name != "samples"}
-        return told | {"behind_s": self._recorder.behind_s}
-
-    def close(self) -> list[HilError]:
-        """Finish recording and log; returns what went wrong in either."""
-        problems = []
-        for close in (self._recorder.close, self._log.close):
-            try:
-                close()
-            except HilError as error:
-                problems.append(error)
-        return problems
-
-
 def counts_of(counts: Counts) -> dict[str, int]:
-    """The figures of a recording that stop documents and verdicts use."""
+    """Return the counts of a recording that stop documents and verdicts use."""
     return {name: int(getattr(counts, name)) for name in COUNTED}
 
 
 def recorded_span(counts: Counts) -> list[float]:
-    """Device time of the first and the last sample [s]; empty where there is none."""
+    """Return the device time of the first and the last sample [s]; empty without samples."""
     return [counts.first_time, counts.last_time] if counts.samples else []

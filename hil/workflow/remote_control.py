@@ -1,9 +1,9 @@
-"""Pausing, stopping and answering a live run from another process, and seeing that it obeyed.
+"""Pausing, stopping and answering a live run from another process.
 
-Requests are files dropped into `RUN/.control/`: whole, or not there. The folder is there while the
-run listens (`Control`), which takes them and writes down what it did. A request names the holder of
-the run's lock it is meant for, so that one left behind by a crash is not obeyed by whoever resumes
-the run. Whoever asked (`pause_run`, `stop_run`, `answer_run`) watches the live view for the effect.
+A request is a file in `RUN/.control/`, which appears whole. The folder exists while the run takes
+requests (`Control`); the run removes them and logs what it did. A request names the holder of the
+run's lock, so that one that a crash has left is not obeyed by a later attempt. The requesting side
+(`pause_run`, `stop_run`, `answer_run`) waits until the live view shows the effect.
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ View = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """What a run asks, as it was read.
+    """The prompt of a run, as it was read.
 
     Attributes:
         text: The whole text.
-        asked: Its number among the prompts of the run, from 1; 0 where the run does not count.
-        holder: `id` of the lock of the run: a run that was gone on with counts anew.
+        asked: Number of the prompt in this attempt, from 1; 0 if the run does not count.
+        holder: `id` of the lock of the run: a resumed run counts anew.
     """
 
     text: str
@@ -60,14 +60,14 @@ What = Literal["pause", "resume", "stop", "answer"]
 
 @dataclass(frozen=True, slots=True)
 class Reaction:
-    """What came of a request.
+    """The state of a run after a request.
 
     Attributes:
         run: The run directory.
         asked: `pause`, `resume`, `stop` or `answer`.
-        state: State of the run now; `completed`, `stopped`, … when it has ended.
+        state: State of the run; `completed`, `stopped`, … if it has ended.
         reason: Why it is in that state.
-        step, steps: Where it is.
+        step, steps: Index of the present step, and number of steps.
     """
 
     run: str
@@ -78,7 +78,7 @@ class Reaction:
     steps: int
 
     def to_dict(self) -> dict[str, Any]:
-        """The contract of `hil pause --json` and the like."""
+        """Return the contract of `hil pause --json` and the like."""
         return asdict(self)
 
 
@@ -87,7 +87,7 @@ def pause_run(run: Path, *, who: str, reason: str = "", wait_s: float = WAIT_S) 
 
     Args:
         run: The run directory.
-        who: Who asks; recorded.
+        who: Name of the user; recorded.
         reason: Why; recorded.
         wait_s: How long to wait until it has paused [s]; 0 does not wait.
 
@@ -108,24 +108,24 @@ def _ask(
     question: Question | None = None,
     yes: bool = False,
 ) -> Reaction:
-    deadline, seen = time.monotonic() + wait_s, read_live(run)
+    deadline, last = time.monotonic() + wait_s, read_live(run)
     about = question or Question("", 0, "")
-    asking = ControlRequest(what, who, about.holder, reason, about.text, yes, about.asked)
-    request = _hand_over(run, asking, deadline)
+    request = ControlRequest(what, who, about.holder, reason, about.text, yes, about.asked)
+    file = _hand_over(run, request, deadline)
     while time.monotonic() < deadline:
         view = read_live(run)
-        seen = view or seen  # a run that ends takes its view away
-        if not request.exists() and (_is_over(run, view) or obeyed(view)):
+        last = view or last  # a run that ends removes its view
+        if not file.exists() and (_is_over(run, view) or obeyed(view)):
             break
         time.sleep(LOOK_EVERY_S)
     else:
         if wait_s > 0:
-            raise _too_late(run, what, request, wait_s)
-    return _reaction(run, what, seen)
+            raise _too_late(run, what, file, wait_s)
+    return _reaction(run, what, last)
 
 
 def _hand_over(run: Path, request: ControlRequest, deadline: float) -> Path:
-    """Drop a request as soon as the run listens; one that has just begun does not yet."""
+    """Drop a request as soon as the run takes requests; one that has just begun does not yet."""
     while True:
         holder = _require_moving(run)
         if request.holder not in ("", holder):
@@ -142,10 +142,10 @@ def _hand_over(run: Path, request: ControlRequest, deadline: float) -> Path:
 
 
 def _require_moving(run: Path) -> str:
-    """The `id` of the process that holds the run.
+    """Return the `id` of the process that holds a run.
 
     Raises:
-        DataError: There is none, or the motion is over.
+        DataError: The run is not live, or its motion is over.
     """
     directory = RunDirectory.open(run)
     holder = run_holder(run)
@@ -163,15 +163,16 @@ def _require_moving(run: Path) -> str:
 
 
 def _is_over(run: Path, view: View) -> bool:
-    """Whether the run has ended, in order or not."""
+    """Return whether the run has ended, or its process has died."""
     if not is_live(run):
         return True
     return view.get("state") == "done" and RunDirectory(run).stop is not None
 
 
-def _too_late(run: Path, what: What, request: Path, wait_s: float) -> RobotTimeout:
+def _too_late(run: Path, what: What, file: Path, wait_s: float) -> RobotTimeout:
+    """Withdraw a request that was not obeyed in time; return the error, also if it was taken."""
     try:
-        request.unlink()
+        file.unlink()
     except FileNotFoundError:
         view = read_live(run)
         now = f"it is {view.get('state', 'silent')}"
@@ -198,31 +199,31 @@ def _reaction(run: Path, what: What, view: View) -> Reaction:
 
 
 def resume_live_run(run: Path, *, who: str, wait_s: float = WAIT_S) -> Reaction:
-    """Let a paused live run go on; see `pause_run`. An interlock may hold it all the same."""
+    """End the pause of a live run; see `pause_run`. An interlock may hold it all the same."""
     return _ask(run, "resume", who, wait_s, lambda view: view.get("state") != "paused")
 
 
 def stop_run(run: Path, *, who: str, reason: str = "", wait_s: float = WAIT_S) -> Reaction:
-    """Stop a run now, and wait until it has written down how it ended; see `pause_run`."""
+    """Stop a run now, and wait until it has written its stop document; see `pause_run`."""
     return _ask(run, "stop", who, wait_s, lambda view: False, reason)
 
 
 def question_of(run: Path) -> Question:
-    """What a run asks at the moment: text and number of one reading.
+    """Return the present prompt of a run.
 
     Raises:
-        DataError: It asks nothing, or is not live.
+        DataError: It has none, or is not live.
     """
     holder = _require_moving(run)
-    question = _asked_in(read_live(run))
-    # Another holder: an attempt that has died asked that. None: a version that did not say it.
+    question = _question_in(read_live(run))
+    # Another holder: it is the prompt of an attempt that died. No holder: of an older version.
     if not question.text or question.holder not in ("", holder):
         raise DataError(f"{run} asks nothing at the moment", hint=f"follow it: hil watch {run}")
     return question
 
 
-def _asked_in(view: View) -> Question:
-    """What is asked as a live view has it, in the attempt that has written it."""
+def _question_in(view: View) -> Question:
+    """Return the prompt of a live view, of the attempt that has written it."""
     standing = standing_in(view)
     return Question(standing.prompt, standing.asked, str(view.get("holder", "")))
 
@@ -230,28 +231,28 @@ def _asked_in(view: View) -> Question:
 def answer_run(
     run: Path, yes: bool, *, who: str, asked: Question | None = None, wait_s: float = WAIT_S
 ) -> Reaction:
-    """Answer what a run is asking; see `pause_run`.
+    """Answer the prompt of a run; see `pause_run`.
 
     Args:
         run: The run directory.
         yes: Whether it is done; a no stops the run.
-        who: Who answers; recorded.
-        asked: The question that is answered, and no later one; by default what it asks now.
-        wait_s: How long to wait until it has taken notice [s]; 0 does not wait.
+        who: Name of the user; recorded.
+        asked: The prompt that is answered, and no later one; by default the present one.
+        wait_s: How long to wait until the run has taken the answer [s]; 0 does not wait.
 
     Raises:
-        DataError: It asks nothing at the moment, or is not live.
+        DataError: It has no prompt, or is not live.
     """
     question = asked or question_of(run)
 
     def obeyed(view: View) -> bool:
-        return yes and _asked_in(view) != question  # a no ends the run
+        return yes and _question_in(view) != question  # a no ends the run
 
     return _ask(run, "answer", who, wait_s, obeyed, "", question, yes)
 
 
 def ending(run: Path) -> tuple[str, str]:
-    """How a run that is not live ended, and why.
+    """Return how a run that is not live ended, and why.
 
     Raises:
         DataError: Its documents are damaged.
@@ -260,12 +261,92 @@ def ending(run: Path) -> tuple[str, str]:
     return directory.status, str((directory.stop or {}).get("reason", ""))
 
 
+@contextlib.contextmanager
+def hold_attempt(run: Path) -> Iterator[None]:
+    """Hold a run while inside, and accept requests from the first moment: a stop, above all.
+
+    They wait until `Control` takes them. The live view that an attempt has left that died, and the
+    requests to it, are removed.
+
+    Raises:
+        DataError, RecordingError: See `hil.core.lock_file.hold_run`.
+    """
+    with hold_run(run):
+        forget_live(run)
+        with contextlib.suppress(OSError):  # on a full disk the run takes no requests
+            (run / FOLDER).mkdir(exist_ok=True)
+        try:
+            yield
+        finally:
+            shutil.rmtree(run / FOLDER, ignore_errors=True)
+
+
+MOST_BYTES = 64 * 1024
+
+
+@dataclass(frozen=True, slots=True)
+class ControlRequest:
+    """A request to a run.
+
+    Attributes:
+        what: What to do.
+        who: Name of the user.
+        holder: `id` of the lock of the run.
+        reason: Why, in words.
+        prompt: For `answer`: the whole text of the prompt.
+        yes: For `answer`: whether it is done.
+        asked: For `answer`: number of the prompt (`Standing.asked`); 0 if only its text is known.
+    """
+
+    what: What
+    who: str
+    holder: str
+    reason: str = ""
+    prompt: str = ""
+    yes: bool = False
+    asked: int = 0
+
+    @property
+    def words(self) -> str:
+        """User and reason, for example `asked by anna: lunch`."""
+        return f"asked by {plain(self.who)}" + (f": {plain(self.reason)}" if self.reason else "")
+
+
+def drop(run: Path, request: ControlRequest) -> Path:
+    """Write a request; return its file, which is gone as soon as the run has taken it.
+
+    Raises:
+        DataError: The run does not take requests.
+        RecordingError: Its directory cannot be written to.
+    """
+    path = run / FOLDER / f"{time.time_ns():020d}-{os.getpid()}.json"
+    draft = path.with_name(f".{path.name}")
+    try:
+        with draft.open("xb") as file:
+            file.write(json_document(asdict(request)))
+            file.flush()
+            os.fsync(file.fileno())
+        draft.rename(path)
+        fsync_directory(path.parent)
+    except FileNotFoundError as error:
+        raise DataError(
+            f"{run} does not listen at the moment",
+            hint="it is not moving yet, or not any more; see: hil watch",
+        ) from error
+    except OSError as error:
+        raise RecordingError(
+            f"cannot write to {run}: {error.strerror or error}",
+            hint="ask as the user who started the run, or see who may write there",
+        ) from error
+    return path
+
+
 EVERY_S = 0.05
 """Time between two looks at the folder of requests [s]."""
 
 
 class Steered(Protocol):
-    """What requests are passed on to: the engine. Every member is safe from any thread."""
+    """The engine, as requests need it. Every member is safe from any thread."""
 
     def request_pause(self, reason: str) -> None:
         """Pause at the next checkpoint."""
@@ -282,23 +363,23 @@ class Answerable(Protocol):
     """A prompt that also takes answers from elsewhere; see `hil.workflow.operator`."""
 
     def listen(self, run: Path | None) -> None:
-        """Answers to this run's prompts may come; None ends that."""
+        """Accept answers to this run's prompts from now on; None ends that."""
 
     def answer(self, yes: bool, who: str, prompt: str, asked: int = 0) -> str:
-        """Take an answer; returns why not, or nothing."""
+        """Take an answer; return why it was not taken, or nothing."""
 
 
 FOLDER = ".control"
 
 
 class Control:
-    """Listens while it is open, on a thread of its own; a context manager.
+    """Takes the requests to a run while it is open, on a thread of its own; a context manager.
 
     Args:
         run: The run directory, held by this process.
-        engine: Is asked to pause, go on and stop.
-        event: Writes down every request (`Sink.event`).
-        prompt: The engine's prompt; answers go to it if it takes any.
+        engine: Paused, resumed and stopped by requests.
+        event: Logs every request (`Sink.event`).
+        prompt: The engine's prompt; gets the answers if it takes any.
     """
 
     def __init__(
@@ -313,10 +394,10 @@ class Control:
         self._holder = ""
 
     def start(self) -> None:
-        """Begin to listen, first to what was asked since the run is held (`hold_attempt`)."""
+        """Begin to take requests, first those from before, since `hold_attempt`."""
         holder = run_holder(self._run)
         self._holder = holder.id if holder else ""
-        with contextlib.suppress(OSError):  # on a full disk nobody can ask, but the run goes on
+        with contextlib.suppress(OSError):  # on a full disk the run takes no requests
             (self._run / FOLDER).mkdir(exist_ok=True)
         if self._prompt is not None:
             self._prompt.listen(self._run)
@@ -324,7 +405,7 @@ class Control:
         self._thread.start()
 
     def close(self) -> None:
-        """Stop listening. Idempotent."""
+        """Take no more requests. Idempotent."""
         if not self._thread.is_alive():
             return
         self._over.set()
@@ -354,8 +435,8 @@ class Control:
             try:
                 self._take(path)
             except OSError:
-                continue  # it is still there, or somebody withdrew it
-            except Exception as error:  # whatever one request did, the next may be a stop
+                continue  # it could not be removed, or was withdrawn
+            except Exception as error:  # the next request may be a stop
                 self._note(what="unknown", problem=repr(error))
 
     def _take(self, path: Path) -> None:
@@ -366,15 +447,15 @@ class Control:
             self._note(what=request.what, who=request.who, problem="meant for an earlier attempt")
         else:
             problem = self._obey(request)
-            told: dict[str, Any] = {"reason": request.reason} if request.reason else {}
+            details: dict[str, Any] = {"reason": request.reason} if request.reason else {}
             if request.what == "answer":
-                told |= {"prompt": request.prompt, "yes": request.yes}
+                details |= {"prompt": request.prompt, "yes": request.yes}
             if problem:
-                told |= {"problem": problem}
-            self._note(what=request.what, who=request.who, **told)
+                details |= {"problem": problem}
+            self._note(what=request.what, who=request.who, **details)
 
     def _obey(self, request: ControlRequest) -> str:
-        """Do what is asked; returns why it was not done, or nothing."""
+        """Do what is requested; return why it was not done, or nothing."""
         if request.what == "pause":
             self._engine.request_pause(request.words)
         elif request.what == "resume":
@@ -393,89 +474,8 @@ class Control:
             self._event("control", **details)
 
 
-MOST_BYTES = 64 * 1024
-
-
-@dataclass(frozen=True, slots=True)
-class ControlRequest:
-    """What somebody asks of a run.
-
-    Attributes:
-        what: What to do.
-        who: Who asks.
-        holder: `id` of the lock of the run as it was seen.
-        reason: Why, in words.
-        prompt: For `answer`: the whole text that is answered.
-        yes: For `answer`: whether it is done.
-        asked: For `answer`: number of the prompt (`Standing.asked`); 0 where only its text is
-            known.
-    """
-
-    what: What
-    who: str
-    holder: str
-    reason: str = ""
-    prompt: str = ""
-    yes: bool = False
-    asked: int = 0
-
-    @property
-    def words(self) -> str:
-        """For example `asked by anna: lunch`."""
-        return f"asked by {plain(self.who)}" + (f": {plain(self.reason)}" if self.reason else "")
-
-
-@contextlib.contextmanager
-def hold_attempt(run: Path) -> Iterator[None]:
-    """Hold a run while inside, and take requests from the first moment: a stop, above all.
-
-    They wait until somebody listens (`Control`). What an attempt has left that died, its live view
-    and requests to it, is not of this one.
-
-    Raises:
-        DataError, RecordingError: See `hil.core.lock_file.hold_run`.
-    """
-    with hold_run(run):
-        forget_live(run)
-        with contextlib.suppress(OSError):  # on a full disk nobody can ask, but the run goes on
-            (run / FOLDER).mkdir(exist_ok=True)
-        try:
-            yield
-        finally:
-            shutil.rmtree(run / FOLDER, ignore_errors=True)
-
-
-def drop(run: Path, request: ControlRequest) -> Path:
-    """Hand a request over; returns its file, which is gone as soon as the run has taken it.
-
-    Raises:
-        DataError: The run does not listen.
-        RecordingError: Its directory cannot be written to.
-    """
-    path = run / FOLDER / f"{time.time_ns():020d}-{os.getpid()}.json"
-    draft = path.with_name(f".{path.name}")
-    try:
-        with draft.open("xb") as file:
-            file.write(json_document(asdict(request)))
-            file.flush()
-            os.fsync(file.fileno())
-        draft.rename(path)
-        fsync_directory(path.parent)
-    except FileNotFoundError as error:
-        raise DataError(
-            f"{run} does not listen at the moment",
-            hint="it is not moving yet, or not any more; see: hil watch",
-        ) from error
-    except OSError as error:
-        raise RecordingError(
-            f"cannot write to {run}: {error.strerror or error}",
-            hint="ask as the user who started the run, or see who may write there",
-        ) from error
-    return path
-
-
 def waiting(run: Path) -> list[Path]:
-    """The requests there are, oldest first."""
+    """Return the requests that wait, oldest first."""
     try:
         names = sorted(os.listdir(run / FOLDER))
     except OSError:
@@ -484,10 +484,11 @@ def waiting(run: Path) -> list[Path]:
 
 
 def take(path: Path) -> ControlRequest | str:
-    """Remove a request; what it says, or what is wrong with it.
+    """Remove a request; return it, or what is wrong with it.
 
     Raises:
-        OSError: It cannot be read or removed, so it must not be obeyed: it would be again.
+        OSError: It cannot be read or removed, so it must not be obeyed: it would be again and
+            again.
     """
     with path.open("rb") as file:
         raw = file.read(MOST_BYTES)
@@ -505,7 +506,7 @@ def _request(document: Any) -> ControlRequest:
 
 
 _KINDS: dict[str, type] = {"yes": bool, "asked": int}
-"""Of fields that are no texts."""
+"""Types of the fields that are no texts."""
 
 
 def _values(document: dict[str, Any]) -> Iterator[tuple[str, Any]]:

@@ -1,7 +1,8 @@
-"""A run once more, from a log of its bus in place of its recording: `hil replay`.
+"""Replay of a run (`hil replay`): its recording is made again from a log of its bus.
 
-The log says what the wire carried; spec, plan and robot are the run's own. What comes out is a run
-directory like any other, which says what it was made from.
+The log has what the wire carried; spec, plan and robot are the run's own. The result is a run
+directory like any other, whose start document names the run and the log. Its dataset is equal to
+the run's to the last bit, if the log contains the whole run (decision 0019).
 """
 
 from __future__ import annotations
@@ -27,28 +28,18 @@ from hil.recording import (
     collect_provenance,
 )
 from hil.robot import STATE_TOPIC, ReadsLogs, RecordedLog, state_topic
-from hil.spec import StationRobot, load_station
+from hil.spec import load_station
 from hil.workflow.recording import counts_of, recorded_span
-
-COPIED_FILES = ("spec.yaml", "station.yaml", "plan.json")
-COPIED_FACTS = (
-    "experiment", "plan_hash", "spec_hash", "station", "robot_name", "robot", "loads", "seed",
-    "commissioning", "waivers",
-)  # fmt: skip
-"""What the start document of the new run has from the old one."""
-
-AT_MOST_S = 0.5
-"""Device time that a log may begin later, or end earlier, than the recording [s]."""
 
 
 @dataclass(frozen=True, slots=True)
-class Replayed:
-    """What came of it.
+class Replay:
+    """The result of a replay.
 
     Attributes:
         run: The new run directory.
         counts: Samples, gaps, … of its recording.
-        recorded: The same of the run that the log is of; empty where it has no stop document.
+        recorded: The same of the original run; empty if that has no stop document.
     """
 
     run: Path
@@ -56,7 +47,7 @@ class Replayed:
     recorded: Mapping[str, int]
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON form."""
+        """Return the contract of `hil replay --json`."""
         return {
             "run": str(self.run),
             "counts": dict(self.counts),
@@ -64,17 +55,17 @@ class Replayed:
         }
 
 
-def replay(source: Path, log: Path, runs: Path) -> Replayed:
-    """Make the recording of a run anew from a log of its bus.
+def replay(source: Path, log: Path, runs: Path) -> Replay:
+    """Make the recording of a run again, from a log of its bus.
 
     Args:
         source: Run directory.
-        log: What was logged on the bus while it ran.
+        log: Log of the bus during the run.
         runs: Where run directories are kept.
 
     Raises:
         DataError: The run or the log cannot be read, or do not belong together.
-        PluginError: The driver's wire does not tell everything.
+        PluginError: The driver's wire does not carry everything that a recording has.
         RecordingError: The new run directory cannot be written.
     """
     run = RunDirectory.open(source)
@@ -84,74 +75,36 @@ def replay(source: Path, log: Path, runs: Path) -> Replayed:
             hint="replay logs of runs that were not resumed",
         )
     require_arm_as_recorded(source)
-    opened, plan = _opened(run, log), read_plan(run.path / "plan.json")
+    decoded, plan = _decoded(log, run), read_plan(run.path / "plan.json")
+    robot, name = str(run.start["robot_name"]), f"{run.start.get('experiment', 'run')}-replay"
     directory = RunDirectory.create(
-        runs, str(run.start["robot_name"]), _name(run), begin=lambda draft: _begin(draft, run, log)
+        runs, robot, name, begin=lambda draft: _write_beginning(draft, run, log)
     )
     stop = run.stop or {}
     with hold_run(directory.path):
-        found = _record(directory, opened, _span(stop))
-        counts = counts_of(found)
-        problem = _finish(directory, plan, found, stop, log)
+        counts = _record(directory, decoded, _span(stop))
+        problem = _finish(directory, plan, counts, stop, log)
     if problem is not None:
         raise problem
-    recorded = {key: stop[key] for key in counts if isinstance(stop.get(key), int)}
-    return Replayed(directory.path, counts, recorded)
+    numbers = counts_of(counts)
+    recorded = {key: stop[key] for key in numbers if isinstance(stop.get(key), int)}
+    return Replay(directory.path, numbers, recorded)
 
 
-def _finish(
-    directory: RunDirectory, plan: Plan, found: Counts, stop: Mapping[str, Any], log: Path
-) -> DataError | None:
-    """Write the end: what is measured is what the rows hold, not what the run has said."""
-    complete = completeness_of(plan, directory.recordings)
-    problem = _lacking(complete, found, stop, directory.path, log)
-    outcome: Outcome = "failed" if problem else stop.get("outcome", "completed")
-    reason = problem.message if problem else f"replayed from {log.name}"
-    told = {
-        **counts_of(found),
-        "complete": complete.to_dict(),
-        "unsettled": sorted(complete.unsettled),
-        "steps_done": stop.get("steps_done", 0),
-        "recorded": recorded_span(found),
-        "exit_code": problem.exit_code if problem else 0,
-    }
-    directory.write_stop(outcome, reason, told)
-    return problem
+def _decoded(log: Path, run: RunDirectory) -> RecordedLog:
+    """Return a log as the driver of the run's robot decodes it.
 
-
-def _lacking(
-    complete: Completeness, found: Counts, stop: Mapping[str, Any], run: Path, log: Path
-) -> DataError | None:
-    """Why the log does not hold the run: it measured more than these rows have."""
-    said = stop.get("complete") or complete.to_dict()
-    has = complete.to_dict()
-    lacks = [
-        f"{has.get(kind, {}).get('done', 0)} of {n['done']} {kind} steps"
-        for kind, n in said.items()
-        if has.get(kind, {}).get("done", 0) < n["done"]
-    ]
-    if _covers(found, stop) and not lacks:
-        return None
-    what = ", ".join(lacks) or f"{found.samples} samples"
-    return DataError(
-        f"{log} does not hold all that the run has recorded: {what}; what there is, is in {run}",
-        hint="is it the whole log of this very run, from before the drives were set up to the end?",
-    )
-
-
-def _covers(found: Counts, stop: Mapping[str, Any]) -> bool:
-    """Whether the rows begin and end where those of the run did; of an old run nobody knows."""
-    first, last = stop.get("recorded") or (found.first_time, found.last_time)
-    begins, ends = found.first_time <= first + AT_MOST_S, found.last_time >= last - AT_MOST_S
-    return bool(found.samples and begins and ends)
-
-
-def _name(run: RunDirectory) -> str:
-    return f"{run.start.get('experiment', 'run')}-replay"
-
-
-def _opened(run: RunDirectory, log: Path) -> RecordedLog:
-    entry = _entry(run)
+    Raises:
+        DataError: The station of the run has no such robot, or the log cannot be read.
+        PluginError: The driver cannot decode logs.
+    """
+    name = str(run.start.get("robot_name", ""))
+    entry = load_station(run.path / "station.yaml").robots.get(name)
+    if entry is None:
+        raise DataError(
+            f"{run.path / 'station.yaml'} has no robot {name!r}",
+            hint="the run directory is damaged or was edited: take it from a copy",
+        )
     driver = plugins.load("hil.drivers", entry.driver)
     if not isinstance(driver, ReadsLogs):
         raise PluginError(
@@ -161,18 +114,15 @@ def _opened(run: RunDirectory, log: Path) -> RecordedLog:
     return driver.read_log(log, entry.model, entry.options, run.start["robot"])
 
 
-def _entry(run: RunDirectory) -> StationRobot:
-    name = str(run.start.get("robot_name", ""))
-    entry = load_station(run.path / "station.yaml").robots.get(name)
-    if entry is None:
-        raise DataError(
-            f"{run.path / 'station.yaml'} has no robot {name!r}",
-            hint="the run directory is damaged or was edited: take it from a copy",
-        )
-    return entry
+COPIED_FILES = ("spec.yaml", "station.yaml", "plan.json")
+COPIED_FACTS = (
+    "experiment", "plan_hash", "spec_hash", "station", "robot_name", "robot", "loads", "seed",
+    "commissioning", "waivers",
+)  # fmt: skip
+"""What the new run has of the old one: files, and keys of the start document."""
 
 
-def _begin(directory: RunDirectory, run: RunDirectory, log: Path) -> None:
+def _write_beginning(directory: RunDirectory, run: RunDirectory, log: Path) -> None:
     for name in COPIED_FILES:
         if (run.path / name).exists():
             directory.write_text(name, (run.path / name).read_text("utf-8"))
@@ -185,9 +135,9 @@ def _begin(directory: RunDirectory, run: RunDirectory, log: Path) -> None:
 
 
 def _span(stop: Mapping[str, Any]) -> tuple[float, float]:
-    """Device time that the run recorded [s]: a log holds what was before and after, too."""
-    told = stop.get("recorded") or (-math.inf, math.inf)
-    return float(told[0]), float(told[1])
+    """Return the device time of the run's recording [s]; the log begins earlier and ends later."""
+    first, last = stop.get("recorded") or (-math.inf, math.inf)
+    return float(first), float(last)
 
 
 def _record(directory: RunDirectory, log: RecordedLog, span: tuple[float, float]) -> Counts:
@@ -230,3 +180,49 @@ def _recorder(directory: RunDirectory, log: RecordedLog) -> Recorder:
         joint_names=joints,
     )
     return Recorder(writer, on_backlog="wait")
+
+
+def _finish(
+    directory: RunDirectory, plan: Plan, counts: Counts, stop: Mapping[str, Any], log: Path
+) -> DataError | None:
+    """Write the stop document, with what the rows contain; return what they lack of the run."""
+    complete = completeness_of(plan, directory.recordings)
+    problem = _lacking(complete, counts, stop, directory.path, log)
+    outcome: Outcome = "failed" if problem else stop.get("outcome", "completed")
+    reason = problem.message if problem else f"replayed from {log.name}"
+    document = {
+        **counts_of(counts),
+        "complete": complete.to_dict(),
+        "unsettled": sorted(complete.unsettled),
+        "steps_done": stop.get("steps_done", 0),
+        "recorded": recorded_span(counts),
+        "exit_code": problem.exit_code if problem else 0,
+    }
+    directory.write_stop(outcome, reason, document)
+    return problem
+
+
+AT_MOST_S = 0.5
+"""Device time that a log may begin later, or end earlier, than the recording [s]."""
+
+
+def _lacking(
+    complete: Completeness, counts: Counts, stop: Mapping[str, Any], run: Path, log: Path
+) -> DataError | None:
+    """Return the error if the run measured more than the log contains; else None."""
+    measured = complete.to_dict()
+    lacks = [
+        f"{measured.get(kind, {}).get('done', 0)} of {n['done']} {kind} steps"
+        for kind, n in (stop.get("complete") or measured).items()
+        if measured.get(kind, {}).get("done", 0) < n["done"]
+    ]
+    # Stop documents of older versions do not say when the recording began and ended.
+    first, last = stop.get("recorded") or (counts.first_time, counts.last_time)
+    begins, ends = counts.first_time <= first + AT_MOST_S, counts.last_time >= last - AT_MOST_S
+    if counts.samples and begins and ends and not lacks:
+        return None
+    what = ", ".join(lacks) or f"{counts.samples} samples"
+    return DataError(
+        f"{log} does not hold all that the run has recorded: {what}; what there is, is in {run}",
+        hint="is it the whole log of this very run, from before the drives were set up to the end?",
+    )

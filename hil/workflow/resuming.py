@@ -1,9 +1,9 @@
-"""Go on with a run that ended early: what is measured stays, the rest is measured.
+"""Resuming a run that ended early: what was measured stays, the rest is measured.
 
 A plan falls into legs: the motions that lead to one measurement, and the measurement. A leg that
-is complete in the data is never repeated, one that is not is repeated whole, so that every dwell
-is reached from the side it was planned to be reached from. Changing the load, and weighing it,
-comes before the first leg under a load, because nobody knows what happened in between.
+is complete in the data is never repeated, an incomplete one is repeated whole, so that every dwell
+is reached from the side that the plan reaches it from. Mounting a load and checking it comes before
+the first leg under each load, because it is unknown what was done to the robot in between.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from hil.recording import (
 from hil.robot import Robot, Status
 from hil.spec import spec_hash
 from hil.workflow.interlocks import RunInterlocks
-from hil.workflow.judging import forget
+from hil.workflow.judging import forget_training
 from hil.workflow.motion_confirmation import Gate, Granted, MotionFacts, was_shown
 from hil.workflow.operator import prompt_on, require_attended
 from hil.workflow.payload_check import Readings, all_reliable, readings_of_earlier_attempts
@@ -56,25 +56,16 @@ from hil.workflow.recording import (
     require_usable,
 )
 
-COLD_AFTER_S = 600.0
-"""An arm that has stood still for longer is warmed up again before it measures on [s]."""
-
-DIED_AFTER = "the process died after the last measurement; the end was written later"
-SAME_IDENTITY = ("model", "serial", "firmware", "driver")
-
-SAME_ROBOT = ("model", "gravity_m_s2", "joint_names", "rate_hz", "effort_kind", "drive_gains")
-"""What of `start.json:robot` must be as it was."""
-
 
 @dataclass(frozen=True, slots=True)
 class Unfinished:
-    """A run as it lies on the disk, with something left to do.
+    """A run on the disk with something left to do.
 
     Attributes:
         directory: The run.
-        experiment: Its own copies of spec and station.
+        experiment: Of its own copies of spec and station.
         plan: Its own plan.
-        complete: What of it was measured, by the data.
+        complete: What of the plan was measured, by the recordings.
     """
 
     directory: RunDirectory
@@ -84,10 +75,10 @@ class Unfinished:
 
 
 def require_resumable(path: Path) -> RunDirectory:
-    """A run that may be gone on with, as far as its documents say; its recordings are not read.
+    """Return a run that can be resumed, as far as its documents say; its recordings are not read.
 
     Raises:
-        DataError: It is no run, one of a kind that has no program to go on with, or lacks a file.
+        DataError: It is no run, one of a kind that cannot be resumed, or lacks a file.
     """
     directory = RunDirectory.open(path)
     start = directory.start
@@ -116,7 +107,7 @@ def require_resumable(path: Path) -> RunDirectory:
 
 
 def open_unfinished(path: Path) -> Unfinished:
-    """Open a run for going on with it.
+    """Return a run that is to be resumed.
 
     Raises:
         DataError: See `require_resumable`; or its plan or spec is not the one it was begun with,
@@ -126,7 +117,7 @@ def open_unfinished(path: Path) -> Unfinished:
     start = directory.start
     plan = read_plan(path / "plan.json")
     experiment = load_experiment(path / "spec.yaml", path / "station.yaml")
-    # The copy of the station in the run is the same station, and its robots the same robots.
+    # The copy in the run describes that station: its robots have the same leases.
     experiment = replace(experiment, station_source=str(start.get("station", "")))
     require_same_arm(start.get("robot", {}), path, "run the experiment again")
     _require_same("plan.json", "plan_hash", start, plan.hash)
@@ -136,10 +127,10 @@ def open_unfinished(path: Path) -> Unfinished:
     return Unfinished(directory, experiment, plan, complete)
 
 
-def _require_same(name: str, key: str, start: Mapping[str, Any], found: str) -> None:
-    if start.get(key) != found:
+def _require_same(name: str, key: str, start: Mapping[str, Any], digest: str) -> None:
+    if start.get(key) != digest:
         raise DataError(
-            f"{name} is not what the run was begun with: its hash is {found[:12]}…, "
+            f"{name} is not what the run was begun with: its hash is {digest[:12]}…, "
             f"start.json says {str(start.get(key))[:12]}…",
             hint="put the original file back, or run the experiment again",
         )
@@ -152,7 +143,7 @@ def _require_something_left(directory: RunDirectory, complete: Completeness) -> 
     """
     if not directory.is_judged:
         return
-    forget(directory.path)  # a kill between the verdict and this left it
+    forget_training(directory.path)  # trainings that a kill after the verdict has left
     if complete.missing:
         raise DataError(
             f"{directory.path} was judged when it was complete, but now only {complete} are whole",
@@ -197,13 +188,13 @@ def resume_recording(unfinished: Unfinished, attendance: Attendance) -> Recorded
             number = directory.next_attempt()
             directory.write_resume(
                 number,
-                _document(unfinished, robot, todo, attendance, cold=cold)
+                _resume_document(unfinished, robot, todo, attendance, cold=cold)
                 | ({"confirmation": confirmed} if confirmed else {}),
             )
             attendance.stage(
                 f"going on with {plan.name} ({unfinished.complete}) → {directory.path}"
             )
-            for text in _repeated(unfinished, todo, cold=cold):
+            for text in _repetitions(unfinished, todo, cold=cold):
                 attendance.stage(text)
             attempt = Attempt(directory, number, experiment, plan, todo, interlocks, before)
             return execute(attempt, robot, attendance)
@@ -227,31 +218,35 @@ def _remaining(unfinished: Unfinished, robot: Robot) -> tuple[Plan, Readings, bo
     require_usable(unfinished.experiment, robot)
     cold = _is_cold(unfinished, robot)
     weighed = readings_of_earlier_attempts(plan, directory.recordings, robot.capabilities)
-    todo = _confirmed(_todo(unfinished, robot, weighed, cold=cold), directory)
+    todo = _with_prompt(_todo(unfinished, robot, weighed, cold=cold), directory)
     return todo, weighed, cold
 
 
+COLD_AFTER_S = 600.0
+"""An arm that has stood still for longer is warmed up again before further measurements [s]."""
+
+
 def _is_cold(unfinished: Unfinished, robot: Robot) -> bool:
-    """Whether the arm has stood still too long; a simulated one is switched on cold each time."""
+    """Return whether the arm has stood still too long; a simulated one is always cold."""
     if robot.capabilities.clock == "virtual":
-        return True
+        return True  # each connection switches it on anew
     directory = unfinished.directory
-    moved, last = 0.0, -1
+    moved_s, last = 0.0, -1
     for path in directory.recordings:
         rows = recorded_rows(path)
         if rows is not None and (moving := (rows["status"] & int(Status.MOVING)) != 0).any():
-            moved, last = float(np.nanmax(rows["host_time"][moving])), attempt_of(path)
-    if time.time() - moved > COLD_AFTER_S:
+            moved_s, last = float(np.nanmax(rows["host_time"][moving])), attempt_of(path)
+    if time.time() - moved_s > COLD_AFTER_S:
         return True
-    # A warm-up that was cut short has warmed nothing: it is over once something was measured.
+    # An attempt that measured nothing may not have come to the end of its warm-up.
     own = [path for path in directory.recordings if attempt_of(path) == last]
     return last > 0 and not completeness_of(unfinished.plan, own).done
 
 
-def _confirmed(plan: Plan, directory: RunDirectory) -> Plan:
-    """The plan with a question for a load that may not be the one that hangs there.
+def _with_prompt(plan: Plan, directory: RunDirectory) -> Plan:
+    """Return a plan that asks for its first load, if that may not be the one that is mounted.
 
-    A plan asks for a load when it comes to it; whoever goes back to an earlier one has to ask, too.
+    A plan asks for a load when it comes to it; a resumed run may have to go back to an earlier one.
     """
     declared = [e.get("load") for e in directory.events() if e.get("kind") == "payload"]
     first = next((step.load for step in plan if step.kind == "payload"), 0)
@@ -260,13 +255,13 @@ def _confirmed(plan: Plan, directory: RunDirectory) -> Plan:
         return plan
     mass = plan.loads[first].payload.mass
     what = f"Mount load {first} ({mass:g} kg) again" if mass else "Take the load off again"
-    asked = replace(plan.loads[first], prompt=f"{what}: the run goes back to it")
-    loads = (*plan.loads[:first], asked, *plan.loads[first + 1 :])
+    prompted = replace(plan.loads[first], prompt=f"{what}: the run goes back to it")
+    loads = (*plan.loads[:first], prompted, *plan.loads[first + 1 :])
     return replace(plan, loads=loads)
 
 
 def _todo(unfinished: Unfinished, robot: Robot, weighed: Readings, *, cold: bool) -> Plan:
-    """What is left, as a plan that begins where the robot stands."""
+    """Return what is left as a plan that begins where the robot stands."""
     plan, experiment = unfinished.plan, unfinished.experiment
     here = standing_at(robot.read()[-1])
     approach = Approach(
@@ -282,7 +277,7 @@ def _todo(unfinished: Unfinished, robot: Robot, weighed: Readings, *, cold: bool
 
 
 def _before(directory: RunDirectory, rate_hz: float) -> Before:
-    """What the recordings so far hold; their gaps and duplicates count for the whole run."""
+    """Return what the recordings so far contain; their counts are part of those of the run."""
     total, device_s = dict(NOTHING), 0.0
     for _, parts in groupby(directory.recordings, attempt_of):
         counts = Counts()
@@ -295,10 +290,10 @@ def _before(directory: RunDirectory, rate_hz: float) -> Before:
     return Before(total, device_s)
 
 
-def _document(
+def _resume_document(
     unfinished: Unfinished, robot: Robot, todo: Plan, attendance: Attendance, *, cold: bool
 ) -> dict[str, Any]:
-    """What `resume-NN.json` says."""
+    """Return the content of `resume-NN.json`."""
     return {
         "resumed": utc_now(),
         "operator": attendance.operator,
@@ -316,8 +311,8 @@ def _document(
     }
 
 
-def _repeated(unfinished: Unfinished, todo: Plan, *, cold: bool) -> Iterator[str]:
-    """What is done once more, and why: a program that seems to begin anew worries people."""
+def _repetitions(unfinished: Unfinished, todo: Plan, *, cold: bool) -> Iterator[str]:
+    """Yield what is done again, and why: it might look as if the program began from the start."""
     kinds = {step.kind for step in todo}
     weighs = {step.load for step in todo if step.kind == "weigh"}
     events = unfinished.directory.events()
@@ -328,9 +323,9 @@ def _repeated(unfinished: Unfinished, todo: Plan, *, cold: bool) -> Iterator[str
 
 
 def remaining_motion(unfinished: Unfinished) -> MotionFacts | None:
-    """Return what has to be confirmed before a run goes on; None where nothing has to be.
+    """Return what has to be confirmed before a run is resumed; None if nothing has to be.
 
-    The robot is leased and connected to meanwhile: the way back begins where it stands.
+    The robot is leased and connected to for that: the way back begins where it stands.
 
     Raises:
         SpecError, PluginError, RobotError, PlanError, PreflightFailed: See `resume_recording`.
@@ -338,15 +333,28 @@ def remaining_motion(unfinished: Unfinished) -> MotionFacts | None:
     if not unfinished.complete.missing:
         return None
     experiment = unfinished.experiment
-    # Nothing moves here, so that any robot is admitted.
+    # Nothing moves here, so any robot is admitted.
     gate = Gate(experiment, Granted("preview"), _confirmed_before(unfinished.directory))
     with held(experiment, report=lambda text: None, admit=gate.admit) as (robot, _):
         todo, _, _ = _remaining(unfinished, robot)
         return gate.facts(robot, todo)
 
 
+SAME_ROBOT = ("model", "gravity_m_s2", "joint_names", "rate_hz", "effort_kind", "drive_gains")
+SAME_IDENTITY = ("model", "serial", "firmware", "driver")
+"""Keys of `start.json:robot`, and of its `identity`, that must be as they were."""
+
+
 def require_same_robot(directory: RunDirectory, robot: Mapping[str, Any]) -> None:
-    """Two robots in one dataset would be identified as one that does not exist."""
+    """Raise if a robot is not the one of a run: their samples in one dataset describe neither.
+
+    Args:
+        directory: The run.
+        robot: From `describe_robot`.
+
+    Raises:
+        PreflightFailed: It is another robot.
+    """
     recorded = directory.start.get("robot", {})
     pairs = {key: (recorded.get(key), robot[key]) for key in SAME_ROBOT}
     was, now = recorded.get("identity", {}), robot["identity"]
@@ -357,6 +365,9 @@ def require_same_robot(directory: RunDirectory, robot: Mapping[str, Any]) -> Non
             f"this is not the robot of {directory.path}: {'; '.join(differs)}",
             hint="connect the robot that began the run, or run the experiment again on this one",
         )
+
+
+DIED_AFTER = "the process died after the last measurement; the end was written later"
 
 
 def recorded_before(unfinished: Unfinished) -> Recorded:
@@ -387,13 +398,6 @@ def recorded_before(unfinished: Unfinished) -> Recorded:
     return Recorded(directory, result, before.counts)
 
 
-FIRST_APPROACH = -2
-"""Index of the first motion back to the plan; the next ones count down. −1 is `no step`."""
-
-Way = Callable[[FloatArray, FloatArray], Sequence[Line]]
-"""Clear lines from one joint position (n,) to another; raises `PlanError` when there are none."""
-
-
 @dataclass(frozen=True, slots=True)
 class Leg:
     """Steps that belong together, the last of which measures, weighs or changes the load.
@@ -408,12 +412,12 @@ class Leg:
 
     @property
     def last(self) -> Step:
-        """The step it is about."""
+        """The step that the others lead to."""
         return self.steps[-1]
 
 
 def legs_of(plan: Plan) -> list[Leg]:
-    """The legs of a plan, in order; together they are all its steps."""
+    """Return the legs of a plan, in order; together they are all its steps."""
     legs: list[Leg] = []
     open_steps: list[Step] = []
     for step in plan:
@@ -430,40 +434,45 @@ def legs_of(plan: Plan) -> list[Leg]:
 def remaining_steps(
     plan: Plan, done: Collection[int], *, cold: bool, weigh_first: bool = False
 ) -> list[Step]:
-    """The steps of a plan that are still to be executed, in order.
+    """Return the steps of a plan that are still to be executed, in order.
 
     Args:
-        plan: All there was to do.
-        done: Measuring steps that are complete.
+        plan: The whole plan.
+        done: Indices of the measuring steps that are complete.
         cold: Whether the arm has to be warmed up again.
         weigh_first: Whether the first load has to be weighed again even if nothing is left to
             measure with it: the others are weighed against it.
-
-    Returns:
-        Nothing when everything is done.
     """
     legs = legs_of(plan)
     needed = {step.load for step in plan if step.measures and step.index not in done}
     if needed and weigh_first:
         needed.add(0)
     warm_up = [step for step in plan if step.kind == "warmup"] if cold else []
-    out: list[Step] = []
+    steps: list[Step] = []
     for load in dict.fromkeys(step.load for step in plan):
         if load not in needed:
             continue
         own = [leg for leg in legs if leg.closed and leg.last.load == load]
         todo = [leg for leg in own if leg.last.measures and leg.last.index not in done]
         before = [leg for leg in own if leg.last.kind in ("payload", "weigh")]
-        out += [step for leg in before for step in leg.steps]
+        steps += [step for leg in before for step in leg.steps]
+        # Once, before the first measurement that is left; its leg may have the warm-up itself.
         if todo and not any(step.kind == "warmup" for step in todo[0].steps):
-            out += warm_up
+            steps += warm_up
         warm_up = [] if todo else warm_up
-        out += [step for leg in todo for step in leg.steps]
-    return out
+        steps += [step for leg in todo for step in leg.steps]
+    return steps
+
+
+Way = Callable[[FloatArray, FloatArray], Sequence[Line]]
+"""Returns clear lines from one joint position (n,) to another; raises `PlanError` without any."""
+
+FIRST_APPROACH = -2
+"""Index of the first motion back to the plan; the next ones count down. −1 is `no step`."""
 
 
 def connected_steps(steps: Sequence[Step], here: FloatArray, way: Way) -> list[Step]:
-    """The steps with the motions between them that the plan did not foresee.
+    """Return steps with the motions between them that the plan did not need.
 
     The first change of load happens where the arm stands; later ones where the plan has them.
 
@@ -475,22 +484,17 @@ def connected_steps(steps: Sequence[Step], here: FloatArray, way: Way) -> list[S
     Raises:
         PlanError: There is no clear way.
     """
-    return list(_connected(steps, here, way))
-
-
-def _connected(steps: Sequence[Step], here: FloatArray, way: Way) -> Iterator[Step]:
+    connected: list[Step] = []
     index = FIRST_APPROACH
     for i, step in enumerate(steps):
-        target = _next_start(steps[i:]) if i or step.motion is not None else None
+        starts = (one.motion.q_start for one in steps[i:] if one.motion is not None)
+        target = next(starts, None) if i or step.motion is not None else None
         if target is not None and np.abs(target - here).max() >= STANDSTILL_RAD:
             for k, line in enumerate(way(here, target)):
-                yield Step(index, "move", line, load=step.load, checkpoint=k == 0)
+                connected.append(Step(index, "move", line, load=step.load, checkpoint=k == 0))
                 index -= 1
             here = target
-        yield step
+        connected.append(step)
         if step.motion is not None:
             here = step.motion.q_end
-
-
-def _next_start(steps: Sequence[Step]) -> FloatArray | None:
-    return next((step.motion.q_start for step in steps if step.motion is not None), None)
+    return connected

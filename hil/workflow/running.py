@@ -1,6 +1,9 @@
-"""The main job: record, fit, judge, report; one call, one run directory.
+"""A whole run in one call: plan, record, fit, judge, report; and the same for a resumed run.
 
-Recorder, dynamics and report are imported when a run begins: `hil.run` is looked up at once.
+`run` and `resume` differ in their motion alone (`hil.workflow.recording`, `resuming`). What both
+have around it, signals, observers, fits, verdict and report, is in `_attended`.
+
+Recorder, dynamics and report are imported when a run begins, so that `hil.run` is there at once.
 """
 
 from __future__ import annotations
@@ -42,7 +45,7 @@ def run(
     Args:
         experiment: From `load`.
         runs: Where run directories are kept.
-        operator: Who is at the robot; by default the user of this process.
+        operator: Name of the operator; by default the user of this process.
         observers: Receive progress events, each on its own thread.
         waivers: Preflight check → why its failure is accepted; recorded.
         desk: Where prompts are answered and pauses are ended; by default the console.
@@ -74,20 +77,20 @@ def run(
     )
 
 
-def _reasons(given: Mapping[str, str] | None) -> dict[str, str]:
-    """Why which check's failure is accepted; a waiver without a reason is none.
+def _reasons(waivers: Mapping[str, str] | None) -> dict[str, str]:
+    """Return the reason of each waiver, without space around it.
 
     Raises:
-        SpecError: They are no reasons by check.
+        SpecError: They are no reasons by check; a waiver without a reason is none.
     """
     example = "{'disk': 'another disk comes on Monday'}"
-    waivers = values_by_name(given, "waivers", example)
-    for check, reason in waivers.items():
+    reasons = values_by_name(waivers, "waivers", example)
+    for check, reason in reasons.items():
         if not (isinstance(reason, str) and reason.strip()):
             raise SpecError(
                 f"the waiver of {check!r} gives no reason", hint=f"for example: waivers={example}"
             )
-    return {check: reason.strip() for check, reason in waivers.items()}
+    return {check: reason.strip() for check, reason in reasons.items()}
 
 
 def _confirming(desk: Desk | None, robot: str | None, operator: str) -> Desk:
@@ -123,15 +126,16 @@ def _attended(
     operator: str,
     observers: Sequence[Observer],
     waivers: Mapping[str, str],
-    at: Desk,
+    desk: Desk,
 ) -> RunReport:
-    """Motion, fit, verdict and report, with signals and observers looked after."""
+    """Execute the motion, then fit, judge and report, with signals and observers throughout."""
     from hil.engine import require_waivable
     from hil.workflow.recording import Attendance
 
     require_waivable(waivers)
     watching = Observers(tuple(observers))
-    signals = SignalWatch(attended=at.go_on is not nobody_goes_on)
+    signals = SignalWatch(attended=desk.go_on is not nobody_goes_on)
+    page: Path | None = None
     try:
         with signals, contextlib.ExitStack() as until_judged:
             try:
@@ -139,12 +143,12 @@ def _attended(
                     Attendance(
                         watching,
                         signals,
-                        at.prompt,
-                        at.go_on,
+                        desk.prompt,
+                        desk.go_on,
                         operator,
                         waivers,
-                        at.wait_s,
-                        at.confirm,
+                        desk.wait_s,
+                        desk.confirm,
                         until_judged,
                     )
                 )
@@ -153,37 +157,29 @@ def _attended(
                 if signals.seen:
                     raise signals.stopped() from None
                 raise
+            from hil.report import render_report
             from hil.workflow.judging import judge_and_study
 
             judged: list[Judged] = []
             error = judge_and_study(experiment, recorded, signals, watching, judged.append)
             watching.publish({"kind": "stage", "stage": "writing the report"})
             with signals.guard():
-                page, problem = _report(recorded.directory.path, judged)
+                try:
+                    page = render_report(recorded.directory.path, judged)
+                except HilError as problem:
+                    error = error or problem
     finally:
         watching.close()
-    return _told(recorded, page, error or problem)
-
-
-def _report(run: Path, judged: Sequence[Judged]) -> tuple[Path | None, HilError | None]:
-    from hil.report import render_report
-
-    try:
-        return render_report(run, judged), None
-    except HilError as error:
-        return None, error
-
-
-def _told(recorded: Recorded, page: Path | None, error: HilError | None) -> RunReport:
+    directory, counts = recorded.directory, recorded.counts
     return RunReport(
-        run=recorded.directory.path,
-        uid=str(recorded.directory.start["uid"]),
+        run=directory.path,
+        uid=str(directory.start["uid"]),
         outcome=str(recorded.result.outcome),
-        verdict=verdict_word(recorded.directory.path),
-        samples=recorded.counts["samples"],
-        gaps=recorded.counts["gaps"],
-        duplicates=recorded.counts["duplicates"],
-        models=tuple(models_below(recorded.directory.path)),
+        verdict=verdict_word(directory.path),
+        samples=counts["samples"],
+        gaps=counts["gaps"],
+        duplicates=counts["duplicates"],
+        models=tuple(models_below(directory.path)),
         report=page,
         error=error,
     )
@@ -198,13 +194,13 @@ def resume(
     desk: Desk | None = None,
     robot: str | None = None,
 ) -> RunReport:
-    """Go on with a run that ended early: what is whole stays, the rest is measured and judged.
+    """Resume a run that ended early: what is complete stays, the rest is measured and judged.
 
     A run in which everything was measured, but nothing judged, is judged.
 
     Args:
         run: The run directory.
-        operator: Who is at the robot; by default the user of this process.
+        operator: Name of the operator; by default the user of this process.
         observers: Receive progress events, each on its own thread.
         waivers: Preflight check → why its failure is accepted; recorded.
         desk: Where prompts are answered and pauses are ended; by default the console.
@@ -221,11 +217,11 @@ def resume(
             back sweeps more than was confirmed, and `robot` does not name it.
         HilError: What else keeps the run from going on.
     """
-    folder, asked, accepted = path_of(run), _confirming(desk, robot, operator), _reasons(waivers)
+    folder, desk, reasons = path_of(run), _confirming(desk, robot, operator), _reasons(waivers)
     from hil.workflow.resuming import open_unfinished, recorded_before, resume_recording
 
     RunDirectory.open(folder)
-    # Held before anything is looked at: what is missing must not be measured by two at once.
+    # Held before anything is read: two processes must not measure what is missing.
     with hold_attempt(folder):
         unfinished = open_unfinished(folder)
 
@@ -234,7 +230,7 @@ def resume(
                 return resume_recording(unfinished, attendance)
             return recorded_before(unfinished)
 
-        return _attended(unfinished.experiment, motion, operator, observers, accepted, asked)
+        return _attended(unfinished.experiment, motion, operator, observers, reasons, desk)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -248,9 +244,9 @@ class RunReport:
         verdict: Of the models on held-out data; `not judged` when the run ended early or the
             spec has no criteria.
         samples, gaps, duplicates: Of the robot record, by device clock.
-        models: Folders of what was fitted, by name.
-        report: The HTML page, None if it could not be made.
-        error: What ended the run or the fit early.
+        models: Folders of the models, by name.
+        report: The HTML page; None if it could not be made.
+        error: What ended the run or the fit early; None if nothing did.
     """
 
     run: Path
@@ -283,7 +279,7 @@ class RunReport:
         return card("Run", self.run, facts, badge=badge, notes=notes)
 
     def to_dict(self) -> dict[str, Any]:
-        """The contract of `hil run --json`."""
+        """Return the contract of `hil run --json`."""
         out: dict[str, Any] = {
             "run": str(self.run),
             "uid": self.uid,

@@ -23,7 +23,7 @@ from hil.spec import SeriesSpec, load_series_spec
 Document = dict[str, Any]
 
 Execute = Callable[[Experiment, Document], tuple[Document, HilError | None]]
-"""Runs an experiment, or resumes its run, whose report it is given (empty if there is none).
+"""Runs an experiment, or resumes its run; called with the report of that run, empty without one.
 
 Returns the run's report as `hil run --json` has it, and what ended it early or is wrong with its
 models."""

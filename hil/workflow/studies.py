@@ -1,8 +1,8 @@
 """The studies of a run: each by itself on the whole recording, its result beside the fits.
 
-Under the loads of a run its models are judged by one of them, `load-validation`. It is made of the
-stored models, relative to the run, so that nothing is fitted twice and `hil study` or
-`hil validate-loads` make the same one again.
+One of them, `load-validation`, judges the models of a run under its loads (`judge_under_loads`). It
+uses the stored models, by paths relative to the run, so that nothing is fitted twice, and
+`hil study` or `hil validate-loads` make the same study again.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from threadpoolctl import threadpool_limits
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from hil.core import (
     AnyPath,
@@ -57,26 +57,34 @@ if TYPE_CHECKING:
     from hil.data import Dataset
     from hil.studies import Failed, UnderLoads
 
-EVERY_S = 0.1
-"""Progress within one thing that is done is told no more often than this [s]."""
-
 Watch = Callable[[str, str, int, int], None]
-"""Told the study, what it is doing, and how many of how many steps of that are done."""
+"""Called with the name of a study, what it is doing, and how many of how many steps are done."""
 
+OnFitEnd = Callable[[str, Ended], None]
+"""Called with the name of a study, and which of its fits is done."""
 
 Tell = Callable[[Mapping[str, Any]], None]
-"""Told events: `training` at an epoch, `fit_note`, `fitted` at the end of a fit."""
+"""Called with events: `training` at an epoch, `fit_note`, `fitted` at the end of a fit."""
 
 Row = dict[str, Any]
+"""A row of a verdict, as JSON."""
+
+
+def unwatched(name: str, what: str, done: int, total: int) -> None:
+    """Ignore the progress of studies."""
+
+
+def unheard(name: str, ended: Ended) -> None:
+    """Ignore the ends of fits."""
 
 
 @dataclass(frozen=True, slots=True)
-class Studied:
-    """What came of the studies of a run.
+class StudiesReport:
+    """The result of the studies of a run.
 
     Attributes:
         run: The run directory.
-        made: Folder of each study that was made, and what it found.
+        made: Folder and result of each study that was made.
         problems: Name of each study that failed, and why.
     """
 
@@ -86,28 +94,16 @@ class Studied:
 
     @property
     def error(self) -> HilError | None:
-        """One error for all studies that are missing; the data are at fault only if they alone."""
+        """One error for all studies that are missing; a `DataError` if all of them are."""
         if not self.problems:
             return None
         errors = [error for _, error in self.problems]
         kind = DataError if all(isinstance(error, DataError) for error in errors) else FitError
-        told = "; ".join(f"the study {name}: {error.message}" for name, error in self.problems)
+        message = "; ".join(f"the study {name}: {error.message}" for name, error in self.problems)
         hints = list(dict.fromkeys(error.hint for error in errors if error.hint))
-        out = kind(told, hint="; ".join(hints) or f"hil study {self.run}")
-        out.__cause__ = errors[0]
-        return out
-
-
-def unwatched(name: str, what: str, done: int, total: int) -> None:
-    """Studies that nobody watches."""
-
-
-Told = Callable[[str, Ended], None]
-"""Told the study, and which of its fits is done."""
-
-
-def unheard(name: str, ended: Ended) -> None:
-    """Fits that nobody is told of."""
+        error = kind(message, hint="; ".join(hints) or f"hil study {self.run}")
+        error.__cause__ = errors[0]
+        return error
 
 
 def study(
@@ -117,39 +113,39 @@ def study(
     parameters: dict[str, Any] | None = None,
     watch: Watch | None = None,
 ) -> tuple[StudyResult, ...]:
-    """Make the studies of a run's spec again, or another one; also refreshes its report.
+    """Make the studies of a run's spec again, or another one; the report is made again, too.
 
     Args:
         run: The run directory.
         name: Name in `hil.studies`; by default all that the run's spec names.
         parameters: The study's own parameters, over those in the spec.
-        watch: Told the study, what it is doing, and how many of how many steps of that are done.
+        watch: Called with the study, what it is doing, and how many of how many steps are done.
 
     Returns:
-        What they found, as it was written into the run directory.
+        The results, as they were written into the run directory.
 
     Raises:
         SpecError, PluginError: There is no such study or parameter.
         DataError, FitError: The run does not allow it; studies beside it have been made.
     """
     folder = path_of(run)
-    given = values_by_name(parameters, "parameters", "{'seed': 3}")
-    found = run_studies(folder, entries_for(folder, name, given), watch or unwatched)
+    own = values_by_name(parameters, "parameters", "{'seed': 3}")
+    report = run_studies(folder, entries_for(folder, name, own), watch or unwatched)
     render_report(folder)
-    if found.error is not None:
-        raise found.error
-    return tuple(result for _, result in found.made)
+    if report.error is not None:
+        raise report.error
+    return tuple(result for _, result in report.made)
 
 
 def entries_for(
     run: Path, name: str | None = None, parameters: Mapping[str, Any] | None = None
 ) -> tuple[StudyEntry, ...]:
-    """The studies to make: those of the run's spec, or one by name.
+    """Return the studies to make: those of the run's spec, or one by name.
 
     Args:
         run: The run directory.
         name: Which study; by default all of the spec.
-        parameters: Laid over those the spec gives it.
+        parameters: Laid over those of the spec.
 
     Raises:
         DataError: It is no run directory, or still recording.
@@ -158,25 +154,25 @@ def entries_for(
     RunDirectory.open(run)
     if is_live(run):
         raise DataError(f"{run} is still recording", hint=f"wait for its end: hil watch {run}")
-    wanted = [entry for entry in _written(run) if name in (None, entry.study)]
-    if name is not None and not wanted:
-        wanted = [StudyEntry(study=name)]
-    if not wanted:
+    entries = [entry for entry in _entries_of_spec(run) if name in (None, entry.study)]
+    if name is not None and not entries:
+        entries = [StudyEntry(study=name)]
+    if not entries:
         known = ", ".join(plugins.names(GROUP)) or "none is installed"
         raise SpecError(
             f"the spec of {run} names no study", hint=f"choose one with --study: {known}"
         )
     if not parameters:
-        return tuple(wanted)
-    if len(wanted) > 1:
-        told = ", ".join(entry.study for entry in wanted)
-        raise SpecError(f"the parameters could be for any of {told}", hint="choose with --study")
-    (entry,) = wanted
-    asked = {**entry.parameters, **parameters}
+        return tuple(entries)
+    if len(entries) > 1:
+        names = ", ".join(entry.study for entry in entries)
+        raise SpecError(f"the parameters could be for any of {names}", hint="choose with --study")
+    (entry,) = entries
+    values = {**entry.parameters, **parameters}
     spec = _spec(run)
     if entry.study == STUDY and spec is not None:
-        asked = as_in_spec(spec, asked)
-    return (StudyEntry(study=entry.study, **asked),)
+        values = as_in_spec(spec, values)
+    return (StudyEntry(study=entry.study, **values),)
 
 
 def missing_studies(run: Path, entries: Sequence[StudyEntry]) -> tuple[StudyEntry, ...]:
@@ -187,8 +183,8 @@ def missing_studies(run: Path, entries: Sequence[StudyEntry]) -> tuple[StudyEntr
     """
 
     def folder(entry: StudyEntry) -> Path:
-        made = made_study(entry.study, **entry.parameters)
-        return run / STUDIES / folder_of(entry.study, made.get_params())
+        parameters = made_study(entry.study, **entry.parameters).get_params()
+        return run / STUDIES / folder_of(entry.study, parameters)
 
     folders = [(entry, folder(entry)) for entry in entries]
     return tuple(
@@ -199,19 +195,22 @@ def missing_studies(run: Path, entries: Sequence[StudyEntry]) -> tuple[StudyEntr
 
 
 def run_studies(
-    run: Path, entries: Sequence[StudyEntry], watch: Watch = unwatched, told: Told = unheard
-) -> Studied:
+    run: Path,
+    entries: Sequence[StudyEntry],
+    watch: Watch = unwatched,
+    on_fit_end: OnFitEnd = unheard,
+) -> StudiesReport:
     """Make studies of a run; one that fails leaves the run and the others as they are.
 
     The recording is read once, moves included. Writes `study/<name>-<digest>/study.json` each, or
-    `problem.json` beside it where the run's spec asks for just that study: what somebody tries
-    with other parameters is told to them, and is no fault of the run.
+    `problem.json` in its place if the run's spec asks for just that study: a failure with other
+    parameters is reported to the caller only, as it is no problem of the run.
 
     Args:
         run: The run directory.
         entries: Which studies, with their parameters.
-        watch: Told how far they are.
-        told: Told every fit that is done, of studies that spread theirs.
+        watch: Receives their progress.
+        on_fit_end: Called with every fit that is done, of studies that fit in processes.
 
     Raises:
         SpecError, PluginError: A study or a parameter does not exist; nothing has been done.
@@ -220,22 +219,25 @@ def run_studies(
     studies = [(entry, made_study(entry.study, **entry.parameters)) for entry in entries]
     made: list[tuple[Path, StudyResult]] = []
     problems: list[tuple[str, HilError]] = []
-    of: tuple[Dataset, RobotModel] | None = None
+    loaded: tuple[Dataset, RobotModel] | None = None
     for entry, one in studies:
         name = entry.study
         folder = run / STUDIES / folder_of(name, one.get_params())
         try:
-            of = of or _loaded(run)
-            made.append((folder, _make(one, folder, of, _Throttled(name, watch, told))))
+            if loaded is None:
+                data = load_source(run)
+                loaded = data, load_model(data.robot, gravity=data.gravity)
+            progress = _Throttled(name, watch, on_fit_end)
+            made.append((folder, _make(one, folder, loaded, progress)))
         except HilError as error:
             problems.append((name, error))
-            if entry in _written(run):
+            if entry in _entries_of_spec(run):
                 write_problem(name, error.message, error.hint, folder)
-    return Studied(run, tuple(made), tuple(problems))
+    return StudiesReport(run, tuple(made), tuple(problems))
 
 
-def _written(run: Path) -> tuple[StudyEntry, ...]:
-    """The studies of the run's spec; a recording of somebody else's program has none."""
+def _entries_of_spec(run: Path) -> tuple[StudyEntry, ...]:
+    """Return the studies of the run's spec; a passive recording has none."""
     spec = _spec(run)
     return () if spec is None else (*spec.study, *under_loads(run, spec))
 
@@ -245,27 +247,20 @@ def _spec(run: Path) -> ExperimentSpec | None:
     return load_spec(file, look_up=False) if file.is_file() else None
 
 
-def _loaded(run: Path) -> tuple[Dataset, RobotModel]:
-    data = load_source(run)
-    return data, load_model(data.robot, gravity=data.gravity)
-
-
 def _make(
-    one: Study, folder: Path, of: tuple[Dataset, RobotModel], progress: _Throttled
+    one: Study, folder: Path, loaded: tuple[Dataset, RobotModel], progress: _Throttled
 ) -> StudyResult:
-    from threadpoolctl import threadpool_limits
-
     begin = time.perf_counter()
     try:
         with threadpool_limits(_blas_threads()):
-            found = one.run(*of, progress)
+            result = one.run(*loaded, progress)
         seconds = time.perf_counter() - begin
-        asked: dict[str, Any] = json_value(one.get_params())
-        found = replace(found, study=progress.name, parameters=asked, seconds=seconds)
+        parameters: dict[str, Any] = json_value(one.get_params())
+        result = replace(result, study=progress.name, parameters=parameters, seconds=seconds)
         if progress.name == STUDY:
-            others = of_other_arms(folder.parent.parent, asked.get("models") or ())
-            found = replace(found, warnings=(*others, *found.warnings))
-        write_study(found, folder)
+            others = of_other_arms(folder.parent.parent, parameters.get("models") or ())
+            result = replace(result, warnings=(*others, *result.warnings))
+        write_study(result, folder)
     except (HilError, OSError):
         raise
     # Studies are plug-ins: whatever one of them raises must not cost the others.
@@ -274,21 +269,23 @@ def _make(
             f"{progress.name} broke down: {type(error).__name__}: {error}",
             hint="this is a fault of the study: report it to whoever wrote it",
         ) from error
-    return found
+    return result
 
 
 def _blas_threads() -> int:
-    """As many as there are, but no more than cores: threads beyond those only spin."""
-    from threadpoolctl import threadpool_info
-
+    """Return the number of BLAS threads now, but no more than cores: threads beyond only spin."""
     return min(cores(), max((pool["num_threads"] for pool in threadpool_info()), default=1))
 
 
-class _Throttled:
-    """Progress of one study, without the thousands of steps between two looks at a screen."""
+EVERY_S = 0.1
+"""Least time between two calls about the progress within one activity of a study [s]."""
 
-    def __init__(self, name: str, watch: Watch, told: Told) -> None:
-        self.name, self._watch, self._told = name, watch, told
+
+class _Throttled:
+    """Progress of one study, without the thousands of steps that no screen shows."""
+
+    def __init__(self, name: str, watch: Watch, on_fit_end: OnFitEnd) -> None:
+        self.name, self._watch, self._on_fit_end = name, watch, on_fit_end
         self._what, self._often = "", Throttle(EVERY_S)
 
     def __call__(self, what: str, done: int, total: int) -> None:
@@ -297,67 +294,70 @@ class _Throttled:
             self._watch(self.name, what, done, total)
 
     def ended(self, ended: Ended) -> None:
-        """A fit that is done: none of them is left out."""
-        self._told(self.name, ended)
+        """Report a fit that is done: none of them is left out."""
+        self._on_fit_end(self.name, ended)
 
 
 STUDY = "load-validation"
 
-WHERE = "under loads"
-"""What is named where no model could be judged so."""
-
 
 def under_loads(run: Path, spec: ExperimentSpec) -> tuple[StudyEntry, ...]:
-    """What the spec asks to be studied of the run's models; nothing without any.
+    """Return the study of the run's models under its loads, if the spec asks for it.
 
-    Only honest ones: others have seen what they would be judged on.
+    Only of honest models: others have seen what they would be judged on.
     """
     if not spec.validation.under_loads:
         return ()
     order = list(dict.fromkeys(fit.estimator for fit in spec.fit))
-    found = []
+    ordered = []
     for file in run.glob("fit/*/evaluation.json"):
-        told = json.loads(file.read_text("utf-8"))
-        if told.get("protocol") == HONEST and told.get("estimator") in order:
+        evaluation = json.loads(file.read_text("utf-8"))
+        if evaluation.get("protocol") == HONEST and evaluation.get("estimator") in order:
             place = f"fit/{file.parent.name}"
-            found.append((order.index(told["estimator"]), place))
-    models = [place for _, place in sorted(found)]
+            ordered.append((order.index(evaluation["estimator"]), place))
+    models = [place for _, place in sorted(ordered)]
     return (StudyEntry(study=STUDY, estimators=[], models=models),) if models else ()
 
 
-def as_in_spec(spec: ExperimentSpec, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Parameters of the study, estimators with the settings and motions held out of the spec.
+def as_in_spec(spec: ExperimentSpec, parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """Return parameters of the study, with the settings of estimators and the hold-out of the spec.
 
-    The same question has one answer, whoever asks it: the spec, or `hil validate-loads -e`.
+    So the study has the same result if it is asked for by the spec or by `hil validate-loads -e`.
     """
-    known = {fit.estimator: fit.parameters for fit in reversed(spec.fit)}
-    asked: dict[str, Any] = dict(given)
-    if asked.get("estimators"):
-        asked["estimators"] = [
-            {"estimator": one, **known[one]} if isinstance(one, str) and known.get(one) else one
-            for one in asked["estimators"]
+    settings = {fit.estimator: fit.parameters for fit in reversed(spec.fit)}
+    values: dict[str, Any] = dict(parameters)
+    if values.get("estimators"):
+        values["estimators"] = [
+            {"estimator": one, **settings[one]}
+            if isinstance(one, str) and settings.get(one)
+            else one
+            for one in values["estimators"]
         ]
     if isinstance(spec.excitation, Fourier) and spec.fit:
         held = spec.hold_out.trajectories_of(spec.excitation.trajectories)
         if held:
-            asked.setdefault("hold_out", held)
-    return asked
+            values.setdefault("hold_out", held)
+    return values
 
 
 def of_other_arms(run: Path, models: Sequence[str]) -> tuple[str, ...]:
-    """Of every stored model that was fitted to another individual than the run's, that it was."""
+    """Return a warning for every stored model that was fitted to another individual."""
     mine = serial_of(run)
-    told = []
+    warnings = []
     for name in models:
         place = run / name if (run / name).exists() and not Path(name).exists() else Path(name)
         training = load_model_file(place).training_
         if mine and training and training.serial and training.serial != mine:
-            told.append(
+            warnings.append(
                 f"{name} IS OF ANOTHER ROBOT: it was fitted to serial {training.serial}, this run "
                 f"is of {mine}; what differs between the two counts as its error, and tells of "
                 "loads what is not so"
             )
-    return tuple(told)
+    return tuple(warnings)
+
+
+WHERE = "under loads"
+"""Name in the verdict for what could not be judged."""
 
 
 def judge_under_loads(
@@ -366,30 +366,29 @@ def judge_under_loads(
     """Judge a run's models under its loads, and write the study, or why there is none.
 
     Returns:
-        Rows of the verdict, without any where there is no criterion about loads; and what could
-        not be judged so.
+        Rows of the verdict, one per criterion about loads; and what could not be judged.
     """
     tell({"kind": "stage", "stage": "judging under loads"})
     try:
-        found, failed = _studied(run, spec, data, tell)
+        results, failed = _load_validation(run, spec, data, tell)
     except HilError as error:
         return [], [FailedFit(WHERE, error)]
     finally:
         tell({"kind": "study", "study": ""})
-    return list(rows_of(spec.accept, found)), [FailedFit(*one) for one in failed]
+    return list(rows_of(spec.accept, results)), [FailedFit(*one) for one in failed]
 
 
-def _studied(
+def _load_validation(
     run: Path, spec: ExperimentSpec, data: Dataset, tell: Tell
 ) -> tuple[Sequence[UnderLoads], Sequence[Failed]]:
-    from hil.studies import LoadValidation, study
+    from hil.studies import LoadValidation
 
     entries = under_loads(run, spec)
     if not entries:
         raise FitError("there is no honest model to judge", hint=f"hil show {run}")
-    made = study(STUDY, **entries[0].parameters)
-    assert isinstance(made, LoadValidation)
-    folder = run / STUDIES / folder_of(STUDY, made.get_params())
+    validation = made_study(STUDY, **entries[0].parameters)
+    assert isinstance(validation, LoadValidation)
+    folder = run / STUDIES / folder_of(STUDY, validation.get_params())
 
     def progress(what: str, done: int, total: int) -> None:
         tell({"kind": "study", "study": STUDY, "what": what, "done": done, "total": total})
@@ -397,32 +396,38 @@ def _studied(
     begin = time.perf_counter()
     try:
         with threadpool_limits(1):
-            found, failed = made.found(data, load_model(data.robot, gravity=data.gravity), progress)
-        result = made.told(found, failed)
+            robot = load_model(data.robot, gravity=data.gravity)
+            results, failed = validation.found(data, robot, progress)
+        result = validation.told(results, failed)
         write_study(replace(result, seconds=time.perf_counter() - begin), folder)
     except HilError as error:
         write_problem(STUDY, error.message, error.hint, folder)
         raise
-    return found, failed
+    return results, failed
 
 
-def rows_of(accept: Accept, found: Sequence[UnderLoads]) -> Iterator[Row]:
-    """Criteria about loads, as rows of a verdict."""
+def rows_of(accept: Accept, results: Sequence[UnderLoads]) -> Iterator[Row]:
+    """Yield the criteria about loads, as rows of a verdict."""
     if (limit := accept.load_error_ratio) is not None:
-        for model in found if limit.of == "every" else found[:1]:
+        for model in results if limit.of == "every" else results[:1]:
             ratio = model.worst(limit.told)[1]
             yield _row(model, "load_error_ratio", _errors(model, limit.told), ratio, limit.max)
     if (most := accept.contradicted_loads) is not None:
-        wrong = found[0].contradicted()
+        wrong = results[0].contradicted()
         what = f"run ({', '.join(wrong)})" if wrong else "run"
-        yield _row(found[0], "contradicted_loads", what, len(wrong), most.max)
+        yield _row(results[0], "contradicted_loads", what, len(wrong), most.max)
 
 
-def _errors(model: UnderLoads, told: str) -> str:
-    """Both errors: a model that is bad on the bare arm has a small ratio too."""
-    load, bare = model.worst(told)[0], model.loads[0]
-    errors = [mean_of(one.errors[told]) for one, told in ((load, told), (bare, "declared"))]
-    return f"{load.case.name} {told}, {errors[0]:.3g} N·m; {bare.case.name}, {errors[1]:.3g} N·m"
+def _errors(model: UnderLoads, payload: str) -> str:
+    """Return both errors of a ratio in words: a model that is bad on the bare arm has a small one.
+
+    Args:
+        model: Judged under loads.
+        payload: What the model knows of the load: `declared`, `calibrated`, …
+    """
+    load, bare = model.worst(payload)[0], model.loads[0]
+    loaded_nm, bare_nm = mean_of(load.errors[payload]), mean_of(bare.errors["declared"])
+    return f"{load.case.name} {payload}, {loaded_nm:.3g} N·m; {bare.case.name}, {bare_nm:.3g} N·m"
 
 
 def _row(model: UnderLoads, metric: str, what: str, value: float, limit: float) -> Row:

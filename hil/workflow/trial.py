@@ -1,4 +1,4 @@
-"""[trying] A trial of a model on a simulated arm, and its page."""
+"""A trial of a model on a simulated arm, and its page."""
 
 from __future__ import annotations
 
@@ -22,26 +22,26 @@ def try_out(
     friction_share: float = FRICTION_SHARE,
     progress: Callable[[str], object] | None = None,
 ) -> Trial:
-    """What a model is worth to a controller, on a simulated arm driven by torque.
+    """Try a model in controllers, on a simulated arm driven by torque; write and return the result.
 
     Args:
         model: Its folder.
         out: Folder to make, with `report.html` and `try-out.json`.
-        station: Has the simulated arm the model was fitted on; by default the station experiments
-            here would use, or a mock of its kind.
+        station: With the simulated arm the model was fitted on; by default the station that
+            experiments here would use, or a mock of that arm.
         robot: Name in the station; by default its only robot that is the model's.
         payload: `MASS` or `MASS,X,Y,Z` [kg, m], a number [kg] or a `Payload` that is mounted and
-            told to the model.
-        seed: Of the trajectory; counted apart from those of experiments.
-        friction_share: Of the dry friction, compensated while a hand leads the arm; below 1.
-        progress: Is told what is being run.
+            that the model knows of.
+        seed: Of the trajectory; another one than that of an experiment with the same seed.
+        friction_share: Share of the dry friction that is compensated while the arm is guided by
+            hand; below 1.
+        progress: Called with what is being run.
 
     Raises:
-        SpecError: The robot is no simulated one with torque control, or is another arm; nobody
-            named a station, and the mock there is otherwise is not the model's; an argument
-            cannot be.
-        FitError: The model has no gravity, or cannot tell torques.
-        PlanError: There is no clear motion.
+        SpecError: The robot is no simulated one with torque control, or is another arm; no station
+            was named, and the default one has no mock of the model's arm; an argument is invalid.
+        FitError: The model has no gravity, or predicts no torques.
+        PlanError: There is no motion clear of collisions.
         RecordingError: The folder exists, or cannot be written.
     """
     folder = path_of(out)
