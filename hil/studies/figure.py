@@ -184,7 +184,7 @@ class Figure:
     kind: ClassVar = "figure"
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON form, but for arrays and NaN; `hil.core.json_document` converts those."""
+        """JSON form, but for arrays and NaN; `hil.core.json_value` converts those."""
         stored: dict[str, Any] = _stored(self)
         return stored
 
