@@ -228,6 +228,15 @@ _USES = {
 }
 
 
+def is_kind(file: str | FilePath | Source, key: str) -> bool:
+    """Return whether a file, or what was read from it, has a kind's key; an unreadable one not."""
+    try:
+        data = file.data if isinstance(file, Source) else read_source(file).data
+    except SpecError:
+        return False
+    return isinstance(data, dict) and key in data
+
+
 def refuse_other_kind(source: Source, wanted: str) -> None:
     """One sentence instead of dozens for a station given as an experiment, and the like."""
     data: Any = source.data
@@ -244,18 +253,6 @@ def _other_kind(data: Any, wanted: str) -> str:
     """The key that says that a file is of another kind; empty when it may be what is wanted."""
     known = data if isinstance(data, dict) and wanted not in data else {}
     return next((key for key in _KINDS if key in known), "")
-
-
-def is_of_kind(file: str | FilePath | Source, key: str) -> bool:
-    """Return whether a file, or what was read from it, has the key of a kind of file.
-
-    An unreadable file is of no kind.
-    """
-    try:
-        data = file.data if isinstance(file, Source) else read_source(file).data
-    except SpecError:
-        return False
-    return isinstance(data, dict) and key in data
 
 
 def no_such_kind(file: FilePath, wanted: str) -> str:

@@ -21,7 +21,7 @@ from hil.spec.field_types import (
     Strict,
     mistake,
 )
-from hil.spec.load import is_of_kind, make_absolute, refuse_other_kind, validated
+from hil.spec.load import is_kind, make_absolute, refuse_other_kind, validated
 
 KEY = "hil_schedule"
 
@@ -92,8 +92,8 @@ class Trigger(Strict):
         return self
 
     @property
-    def given(self) -> bool:
-        """Whether time triggers it at all."""
+    def by_time(self) -> bool:
+        """Whether time triggers it."""
         return self.every is not None or self.cron is not None
 
 
@@ -104,7 +104,7 @@ class ProbeJob(Trigger):
 
     @model_validator(mode="after")
     def _is_due_some_time(self) -> ProbeJob:
-        if not self.given:
+        if not self.by_time:
             raise mistake("give every or cron: a probe is never due otherwise")
         return self
 
@@ -212,14 +212,14 @@ class ScheduleSpec(Strict):
 
     @model_validator(mode="after")
     def _something_is_due_some_time(self) -> ScheduleSpec:
-        if self.probe is None and not self.campaign.given:
+        if self.probe is None and not self.campaign.by_time:
             raise mistake("nothing is ever due: give every or cron, or a probe", "campaign")
         return self
 
 
 def is_schedule(file: str | FilePath | Source) -> bool:
     """Return whether a file, or what was read from it, is a schedule; an unreadable one is none."""
-    return is_of_kind(file, KEY)
+    return is_kind(file, KEY)
 
 
 def load_schedule_spec(file: str | FilePath | Source) -> ScheduleSpec:

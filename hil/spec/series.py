@@ -8,7 +8,7 @@ from pydantic import Field
 
 from hil.core import KeyPath, Source, read_source
 from hil.spec.field_types import FormatVersion, Name, RobotAddresses, Strict
-from hil.spec.load import is_of_kind, make_absolute, refuse_other_kind, validated
+from hil.spec.load import is_kind, make_absolute, refuse_other_kind, validated
 
 KEY = "hil_series"
 
@@ -41,7 +41,7 @@ class SeriesSpec(Strict):
 
 def is_series(file: str | FilePath | Source) -> bool:
     """Return whether a file, or what was read from it, is a series; an unreadable one is none."""
-    return is_of_kind(file, KEY)
+    return is_kind(file, KEY)
 
 
 def load_series_spec(file: str | FilePath | Source) -> SeriesSpec:
