@@ -256,7 +256,8 @@ def test_parameters_that_cannot_be_are_refused(wrong: dict[str, Any]) -> None:
 
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(campaign, "_loaded", lambda run: (raw(sweep()), nominal()))
+    monkeypatch.setattr(campaign, "load_source", lambda run: raw(sweep()))
+    monkeypatch.setattr(campaign, "load_model", lambda robot, gravity: nominal())
     path = write_run(tmp_path, dwell_plan(poses=2)).path
     told = "study: [{study: load-validation, cutoff_hz: 20, rate_hz: 50}]\n"
     with (path / "spec.yaml").open("a", encoding="utf-8") as spec:
