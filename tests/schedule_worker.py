@@ -1,8 +1,9 @@
 """A process that keeps a schedule until it is killed; a minute of it takes a few milliseconds.
 
-python schedule_worker.py STATE JOURNAL EPOCH [END]
+python schedule_worker.py STATE JOURNAL EPOCH [MINUTES]
 
-EPOCH is when the schedule's time began, as a Unix time; END, in minutes of it, ends the process.
+EPOCH is when the schedule's time began, as a Unix time; the process ends when it has kept the
+schedule for MINUTES of it: how long Python took to start is not counted.
 """
 
 from __future__ import annotations
@@ -65,7 +66,7 @@ def main() -> None:
         say(f"end {occasion.id}")
         return {"outcome": "quiet", "text": "done"}
 
-    end = MONDAY + timedelta(minutes=float(sys.argv[4])) if len(sys.argv) > 4 else None
+    end = clock.now() + timedelta(minutes=float(sys.argv[4])) if len(sys.argv) > 4 else None
     with open_ledger(state, SPEC.name) as ledger:
         sys.stdout.write("ready\n")
         sys.stdout.flush()

@@ -20,13 +20,14 @@ from pathlib import Path
 from typing import Any
 
 import hil
+from hil import report
 from hil.cli.app import _end_like_ctrl_c
 from hil.core.errors import HilError, exit_code_of
 from hil.engine import Reply
 from hil.planning.plan import read_plan
 from hil.recording import recorder as recorder_module
 from hil.recording.mcap_writer import McapWriter
-from hil.workflow import recording, running
+from hil.workflow import recording
 from hil.workflow.operator import Desk
 
 STALL_S = 6.0
@@ -174,7 +175,7 @@ def main() -> int:
     case = json.loads(Path(sys.argv[1]).read_text("utf-8"))
     _end_like_ctrl_c()
     recording.plan_for = lambda *_: read_plan(Path("plan.json"))
-    running._report = lambda directory, judged: (None, None)
+    report.render_report = lambda *_: None
 
     def confirm(text: str, meanwhile: Callable[[], object]) -> Reply:
         until = time.monotonic() + case["prompt_s"]
@@ -187,7 +188,7 @@ def main() -> int:
         return ""
 
     try:
-        report = hil.run(
+        result = hil.run(
             hil.load("spec.yaml", "station.yaml"),
             runs="runs",
             observers=(Injector(case, Path("happened.json")),),
@@ -196,7 +197,7 @@ def main() -> int:
     except HilError as error:  # before there is a run
         print(error.message, file=sys.stderr)  # noqa: T201
         return exit_code_of(error)
-    return 0 if report.error is None else exit_code_of(report.error)
+    return 0 if result.error is None else exit_code_of(result.error)
 
 
 if __name__ == "__main__":
