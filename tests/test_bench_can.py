@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hil.cli import benchmarking
+from hil.cli.bench import measure
 
 pytestmark = [pytest.mark.wire, pytest.mark.proof]
 
@@ -21,7 +21,7 @@ EACH = (
 
 def test_bench_can_gives_all_figures_of_all_ways_on_one_bus() -> None:
     pytest.importorskip("canopen")
-    told = benchmarking.measure("can", seconds=0.1, rounds=1, rates_hz=(1000,))
+    told = measure("can", seconds=0.1, rounds=1, rates_hz=(1000,))
     for path in (
         "ours",
         "canopen",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hil.cli.benchmarking import measure
+from hil.cli.bench import measure
 
 
 def test_the_catalogue_and_the_directories_say_the_same() -> None:

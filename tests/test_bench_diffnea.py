@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hil.cli.benchmarking import measure
+from hil.cli.bench import measure
 
 
 def test_nobody_finds_a_lower_loss_than_the_newton_steps() -> None:

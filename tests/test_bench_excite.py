@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from hil.cli import benchmarking
+from hil.cli.bench import measure
 
 
 def test_the_quick_run_tells_of_everybody_from_the_same_starts(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    told = benchmarking.measure("excite", quick=True, seeds=[3])
+    told = measure("excite", quick=True, seeds=[3])
     lines = capsys.readouterr().err.splitlines()
     drawn = {line.split()[0]: line.split()[3] for line in lines}
     assert drawn["ours"] == drawn["slsqp_differences"] == drawn["slsqp_our_gradient"]
@@ -21,7 +21,7 @@ def test_the_quick_run_tells_of_everybody_from_the_same_starts(
 @pytest.mark.proof
 @pytest.mark.timeout(900)
 def test_ten_random_starts_are_well_conditioned_within_five_seconds_each() -> None:
-    figures = benchmarking.measure("excite", peers=False)["figures"]
+    figures = measure("excite", peers=False)["figures"]
     assert figures["ours_median_condition"] <= 11.8
     assert figures["ours_worst_condition"] <= 12.8
     assert figures["ours_worst_cpu_s"] <= 5.0

@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.cli import benchmarking
-from hil.cli.bench import TABLE_WIDTH
+from hil.cli.bench import TABLE_WIDTH, measure
 from hil.data.dataset import Conditions, Dataset
 
 ROOT = Path(__file__).parents[1]
@@ -23,7 +22,7 @@ def recorded(name: str):
 
 @pytest.fixture(scope="module")
 def quick():
-    return benchmarking.measure("identify", quick=True)
+    return measure("identify", quick=True)
 
 
 @pytest.mark.data
@@ -51,7 +50,7 @@ def test_tables_fit_a_hundred_columns(quick) -> None:
 
 def test_absent_recordings_are_left_out_with_the_reason(monkeypatch, tmp_path) -> None:
     monkeypatch.setenv("HIL_DATA", str(tmp_path))
-    document = benchmarking.measure("identify", quick=True)
+    document = measure("identify", quick=True)
     assert document["figures"] == {}
     assert all("set HIL_DATA" in reason for reason in document["skipped"].values())
     assert {"UR10e", "load"} <= document["skipped"].keys()

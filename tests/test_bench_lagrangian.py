@@ -7,7 +7,7 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="torch is not installed")
 
-from hil.cli import benchmarking  # noqa: E402
+from hil.cli.bench import measure  # noqa: E402
 from hil.core.errors import FitError  # noqa: E402
 
 ROOT = Path(__file__).parents[1]
@@ -72,7 +72,7 @@ def test_who_does_not_reach_the_error_is_charged_for_all_his_time(speed, monkeyp
 @pytest.mark.proof
 @pytest.mark.timeout(1200)
 def test_ours_is_twelve_times_quicker_than_layer_jacobians_and_twice_torch_func() -> None:
-    document = benchmarking.measure("lagrangian")
+    document = measure("lagrangian")
     ratios = document["ratios"]
     for kind in ("forward", "both"):
         assert ratios[f"vs_layer_jacobian_{kind}_512"] >= 12

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from hil.cli import benchmarking
+from hil.cli.bench import measure
 from hil.networks.mlp import Mlp
 
 ROOT = Path(__file__).parents[1]
@@ -77,7 +77,7 @@ def test_several_seeds_are_told_apart_with_the_median_of_their_ratios(monkeypatc
 
 @pytest.mark.proof
 def test_everybody_gets_to_the_same_error() -> None:
-    document = benchmarking.measure("lm", quick=True)
+    document = measure("lm", quick=True)
     figures = document["figures"]
     assert figures["rows"] == 600
     for name in ("ours_averaged", "ours_plain"):
@@ -91,7 +91,7 @@ def test_everybody_gets_to_the_same_error() -> None:
 @pytest.mark.proof
 @pytest.mark.timeout(1800)
 def test_ours_is_forty_times_sooner_with_averaging_and_ten_times_without() -> None:
-    document = benchmarking.measure("lm")
+    document = measure("lm")
     assert document["ratios"]["ours_averaged_vs_pyrenn"] >= 40
     assert document["ratios"]["ours_plain_vs_pyrenn"] >= 10
 

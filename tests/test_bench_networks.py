@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hil.cli import benchmarking
+from hil.cli.bench import measure
 from hil.data.prediction import Prediction
 from hil.dynamics import load_model
 from hil.studies.inverse_fits import nothing
@@ -35,7 +35,7 @@ def parts():
 @pytest.fixture(scope="module")
 def quick():
     pytest.importorskip("torch", reason="torch is not installed")
-    return benchmarking.measure("networks", quick=True, parts=("mock",))
+    return measure("networks", quick=True, parts=("mock",))
 
 
 class Knowing:
@@ -175,7 +175,7 @@ def test_a_network_on_the_ur10e_is_its_mean_over_seeds_with_their_spread(parts) 
 
 def test_without_torch_it_says_so(monkeypatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    assert "torch is not installed" in benchmarking.measure("networks")["skipped"]["networks"]
+    assert "torch is not installed" in measure("networks")["skipped"]["networks"]
 
 
 def test_nothing_is_better_than_knowing_all_but_the_noise(quick) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.cli.benchmarking import measure
+from hil.cli.bench import measure
 from hil.core.errors import FitError
 from hil.export.c_compiler import compiler
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from hil.cli import benchmarking
+from hil.cli.bench import measure
 from hil.core.errors import PluginError
 
 
 @pytest.mark.wire
 def test_kills_leave_readable_files_and_lose_a_quarter_second_at_most() -> None:
-    figures = benchmarking.measure("crash", quick=True, kills=8)["figures"]
+    figures = measure("crash", quick=True, kills=8)["figures"]
     assert figures["kills"] == 8
     assert figures["files"] >= 8
     assert figures["unreadable"] == 0
@@ -21,12 +21,12 @@ def test_kills_leave_readable_files_and_lose_a_quarter_second_at_most() -> None:
 
 @pytest.mark.wire
 def test_a_short_soak_reads_back_all_it_has_recorded() -> None:
-    figures = benchmarking.measure("soak", hours=0.02)["figures"]
+    figures = measure("soak", hours=0.02)["figures"]
     assert figures["rows"] == 36_000
     assert figures["gaps_without_explanation"] == 0
 
 
 def test_an_option_that_a_benchmark_does_not_have_is_refused() -> None:
     with pytest.raises(PluginError, match="mcap has no option kills") as caught:
-        benchmarking.measure("mcap", kills=3)
+        measure("mcap", kills=3)
     assert "it has quick" in caught.value.hint

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hil.cli.benchmarking import measure
+from hil.cli.bench import measure
 
 
 def test_every_start_is_measured_beside_an_empty_python() -> None:

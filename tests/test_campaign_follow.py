@@ -141,13 +141,13 @@ VIEW: dict[str, Any] = {
 @pytest.mark.parametrize(
     ("changes", "told"),
     [
-        ({}, " 25 %  step 12/50 dwell, pose 5  75.0 s left"),
+        ({}, " 25 %  step 12/50 dwell, pose 5  1 min 15 s left"),
         ({"gaps": 2.0, "duplicates": 1, "behind_s": 1.5},
          " 25 %  2 gaps  1 duplicate  recorder 1.5 s behind  step 12/50 dwell, pose 5  "
-         "75.0 s left"),
+         "1 min 15 s left"),
         ({"state": "paused", "reason": "lunch"}, "paused: lunch  step 12/50 dwell, pose 5"),
         ({"prompt": "Mount it"}, "asks: Mount it  step 12/50 dwell, pose 5"),
-        ({"step": -2}, " 25 %  on the way back  75.0 s left"),
+        ({"step": -2}, " 25 %  on the way back  1 min 15 s left"),
         ({"state": "done", "stage": "fitting static-wls"}, "fitting static-wls"),
         ({"state": "stopping", "reason": "smoke"}, "stopping: smoke"),
     ],

@@ -12,11 +12,10 @@ from synthetic_motion import moving, nominal
 from typer.testing import CliRunner
 
 from hil.cli.app import app
-from hil.cli.pruning import known_registries
 from hil.core.errors import RegistryError
 from hil.estimators import estimator
 from hil.models.model_registry import Registry, facts_of
-from hil.models.registries_file import FILE, note_registry, registries_of
+from hil.models.registries_file import FILE, known_registries, note_registry, registries_of
 
 pytestmark = pytest.mark.quick
 

@@ -7,13 +7,14 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import typer
 
-from hil.cli import candidates
+from hil.cli import completion
 from hil.cli.app import app
-from hil.cli.completing import BY_COMMAND, BY_NAME, commands
+from hil.cli.completion import BY_COMMAND, BY_NAME, Words, commands
 
 BIN = Path(sys.executable).parent
 
@@ -127,11 +128,15 @@ def test_nothing_is_offered_and_nothing_raised_in_a_folder_of_rubbish(
     (tmp_path / "runs").write_text("no folder")
     (tmp_path / "station.yaml").write_bytes(b"\xff: [\n")
     (tmp_path / "folder.yaml").mkdir()
-    assert candidates.runs({}, "") == []
-    assert candidates.robots({}, "") == []
-    assert candidates.specs({}, "") == []
-    assert candidates.registered({}, "") == []
-    assert "ur5" in candidates.robots({"station": "none.yaml"}, "")
+
+    def offered(words: Words, **before: str) -> list[str]:
+        return completion._completion_of(words)(SimpleNamespace(params=before), "")
+
+    assert offered(BY_NAME["run"]) == []
+    assert offered(BY_NAME["robot"]) == []
+    assert offered(BY_NAME["spec"]) == []
+    assert offered(BY_COMMAND["models show", "name"]) == []
+    assert "ur5" in offered(BY_NAME["robot"], station="none.yaml")
 
 
 def test_every_completion_is_of_a_parameter_that_there_is() -> None:

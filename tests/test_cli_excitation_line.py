@@ -18,7 +18,7 @@ def test_the_line_says_what_matters_first_and_never_wraps(monkeypatch: pytest.Mo
     with ExcitationLine() as line:
         line(BUSY)
         (shown,) = [part for part in terminal.getvalue().split("\r\x1b[K") if part]
-        assert shown.startswith("optimising trajectory 3/12  2 min 5 s")
+        assert shown.startswith("optimising trajectory 3/12  2 min 05 s")
         assert len(shown) < 40
     assert terminal.getvalue().endswith("\r\x1b[K")
 

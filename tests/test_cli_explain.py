@@ -10,10 +10,16 @@ import yaml
 from typer.testing import CliRunner, Result
 
 from hil.cli.app import EXIT_CODES, app
-from hil.cli.explaining import _example
 from hil.core import errors
 from hil.core.errors import HilError, SpecError
-from hil.spec.documentation import MODELS, KeyInfo, explain_key, keys_below, reference
+from hil.spec.documentation import (
+    MODELS,
+    KeyInfo,
+    example_of,
+    explain_key,
+    keys_below,
+    reference,
+)
 
 
 def invoke(*words: str) -> Result:
@@ -60,7 +66,7 @@ def test_keys_of_every_file_have_a_line_to_copy(key: str, file: str, example: st
 @pytest.mark.parametrize("file", MODELS)
 def test_examples_are_yaml_of_their_key(file: str) -> None:
     for info in keys_below(MODELS[file]):
-        line = _example(KeyInfo(**{**vars_of(info), "file": file}))
+        line = example_of(KeyInfo(**{**vars_of(info), "file": file}))
         assert not line or list(yaml.safe_load(line)) == [info.path.rpartition(".")[2]], line
 
 
@@ -114,7 +120,7 @@ def test_every_exit_code_is_explained() -> None:
 def test_a_code_that_is_none_is_refused() -> None:
     error = invoke("exit", "77").exception
     assert isinstance(error, SpecError)
-    assert "exit codes are 0, 2, 3" in error.hint
+    assert "exit codes are 0, 1, 2, 3" in error.hint
 
 
 def vars_of(info: KeyInfo) -> dict[str, str]:

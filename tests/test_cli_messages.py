@@ -98,9 +98,9 @@ LACKING = """
 import sys, hil, hil_mock_robot
 from pathlib import Path
 FILE = Path(hil_mock_robot.__file__).with_name("ranges.yaml")
-from hil.cli.app import _named
+from hil.cli.app import _as_ours
 error = FileNotFoundError(2, "No such file or directory", str(FILE))
-sys.stdout.write(f"{type(_named(error)).__name__} {_named(error).exit_code} {_named(error)}")
+sys.stdout.write(f"{type(_as_ours(error)).__name__} {_as_ours(error).exit_code} {_as_ours(error)}")
 """
 
 

@@ -10,12 +10,12 @@ from synthetic_motion import moving, nominal
 from typer.testing import CliRunner, Result
 
 from hil.cli.app import app
-from hil.cli.models import found_model
 from hil.cli.output import fixed, print_table
-from hil.cli.study_tables import _means
+from hil.cli.study import means
 from hil.core.errors import DataError, RegistryError, SpecError
 from hil.estimators import estimator, load_model_file, save_model
 from hil.export.targets import written_as
+from hil.runs import find_model
 from hil.studies.result import Table
 
 
@@ -40,16 +40,16 @@ def run_of(runs: Path, number: int) -> Path:
 @pytest.mark.parametrize("under", ["", "fit", "fit/a"])
 def test_a_run_its_fits_and_the_folder_are_one_model(under: str, runs: Path) -> None:
     model = run_of(runs, 1) / "fit" / "a"
-    assert found_model(str(run_of(runs, 1) / under), runs) == model
+    assert find_model(str(run_of(runs, 1) / under), runs) == model
     assert load_model_file(str(run_of(runs, 1) / under)).joint_names_
 
 
 def test_a_number_and_a_name_of_a_run_are_its_model(runs: Path) -> None:
     model = run_of(runs, 1) / "fit" / "a"
-    assert found_model("1", runs) == model
+    assert find_model("1", runs) == model
     names = {str(path) for path in run_of(runs, 3).glob("fit/*")}
     with pytest.raises(DataError, match="holds 2 models") as told:
-        found_model("3", runs)
+        find_model("3", runs)
     assert all(name in told.value.message for name in names)
 
 
@@ -62,7 +62,7 @@ def test_what_holds_no_model_says_what_to_give(runs: Path) -> None:
     }
     for given, (message, hint) in cases.items():
         with pytest.raises(DataError) as told:
-            found_model(given, runs)
+            find_model(given, runs)
         assert message in told.value.message
         assert hint in told.value.hint
 
@@ -186,7 +186,7 @@ def test_a_terminal_gets_means_by_load_and_model() -> None:
         (f"3 kg, beside, rigid-wls, {told}", 9.0, mean)
         for told, mean in (("unaware", 5.0), ("declared", 1.0))
     )
-    table = _means(Table("table-load-errors", "RMSE", ("load", "J1", "mean"), rows))
+    table = means(Table("table-load-errors", "RMSE", ("load", "J1", "mean"), rows))
     assert table.columns == ("load, model", "unaware", "declared")
     assert table.rows == (("3 kg, beside, rigid-wls", 5.0, 1.0),)
 

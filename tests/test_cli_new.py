@@ -166,7 +166,7 @@ def test_a_built_in_robot_in_place_of_that_of_a_station_beside_is_told(
         raise SpecError("enough")
 
     monkeypatch.setattr("hil.workflow.checks.check_driver", enough)
-    monkeypatch.setattr("hil.cli.attended.Attended.run", enough)
+    monkeypatch.setattr("hil.cli.run.Attended.run", enough)
     (spec, *_) = written("dwell")
     Path("mine-station.yaml").write_text(
         "hil_station: 1\nname: mine\nrobots:\n  ur5: {driver: mock, model: ur5}\n"

@@ -77,12 +77,12 @@ def test_of_a_run_that_was_gone_on_with_it_is_told_of_what_the_share_is(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     terminal = on_terminal(monkeypatch, progress(10, resumed=1))
-    assert terminal.shown == [" 25 % of what was left  step 11/40 dwell, pose 17  60.0 s left"]
+    assert terminal.shown == [" 25 % of what was left  step 11/40 dwell, pose 17  1 min 00 s left"]
 
 
 def test_the_line_says_how_far_where_and_how_long(monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = on_terminal(monkeypatch, progress(10))
-    assert terminal.shown == [" 25 %  step 11/40 dwell, pose 17  60.0 s left"]
+    assert terminal.shown == [" 25 %  step 11/40 dwell, pose 17  1 min 00 s left"]
 
 
 def test_a_completed_program_is_100_percent_however_long_the_dwells_took(

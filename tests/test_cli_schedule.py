@@ -284,7 +284,7 @@ def test_a_person_holds_it_and_has_to_say_why() -> None:
         assert code == 0
         assert "tool change" in told
         _, told, _ = hil_schedule("release", "nightly.yaml", "--reason", "done")
-        assert "has waited: whoever runs the schedule begins it within a minute" in told
+        assert "has waited: the process that runs the schedule begins it within a minute" in told
 
 
 def test_what_is_next_is_not_what_is_settled() -> None:

@@ -14,18 +14,18 @@ from study_parts import register
 from typer.testing import CliRunner
 
 from hil.cli.app import app
+from hil.cli.output import table_lines
 from hil.cli.progress import ProgressLines, StudyLine
-from hil.cli.study_tables import table_lines
 from hil.core.errors import FitError, Stopped
-from hil.studies.result import Table
 from hil.studies.store import problem_files
 
-WIDE = Table(
-    "t",
-    "RMSE",
-    ("method", *(f"J{j} [A]" for j in range(1, 13))),
-    tuple((f"method {i}", *(0.1 * j + i for j in range(12))) for i in range(3)),
-)
+
+def wide(columns: int | None) -> list[str]:
+    """A table of three methods and twelve joints on a terminal of so many columns."""
+    joints = range(1, 13)
+    rows = [(f"method {i}", *(f"{0.1 * j + i:.2f}" for j in joints)) for i in range(3)]
+    header = ("method", *(f"J{j} [A]" for j in joints))
+    return table_lines(header, rows, right=joints, width=columns)
 
 
 @pytest.fixture(autouse=True)
@@ -99,7 +99,7 @@ def test_figures_are_listed_as_they_were_written(run: Path, tmp_path: Path) -> N
 
 
 def test_a_wide_table_is_broken_between_columns_on_a_narrow_terminal() -> None:
-    lines = list(table_lines(WIDE, 40))
+    lines = wide(40)
     assert max(map(len, lines)) <= 40
     assert sum(line.startswith("method ") and "J" in line for line in lines) > 1
     values = re.findall(r"\d\.\d+", " ".join(lines))
@@ -107,11 +107,11 @@ def test_a_wide_table_is_broken_between_columns_on_a_narrow_terminal() -> None:
 
 
 def test_in_a_pipe_nothing_is_broken() -> None:
-    assert len(list(table_lines(WIDE, None))) == 4
+    assert len(wide(None)) == 4
 
 
 def test_numbers_stand_below_each_other_at_their_right_ends() -> None:
-    header, *rows = table_lines(WIDE, None)
+    header, *rows = wide(None)
     assert {len(line) for line in rows} == {len(header)}
 
 
@@ -133,7 +133,7 @@ def test_a_terminal_shows_a_line_that_goes_away(monkeypatch: pytest.MonkeyPatch)
 
 
 ENDED = {"number": 7, "total": 54, "name": "lagrangian (proposed), seed 2", "seconds": 63.0}
-LINE = "fit 7 of 54: lagrangian (proposed), seed 2 (63.0 s)"
+LINE = "fit 7 of 54: lagrangian (proposed), seed 2 (1 min 03 s)"
 
 
 def test_every_fit_of_a_study_leaves_a_line(
@@ -159,7 +159,7 @@ def test_every_fit_of_a_study_leaves_a_line(
 def test_a_fit_that_failed_is_no_success(capsys: pytest.CaptureFixture[str], failed: str) -> None:
     ended = {**ENDED, "failed": failed}
     ProgressLines().notify({"kind": "study_fit", "study": "counted", "ended": ended})
-    told = f"fit 7 of 54: lagrangian (proposed), seed 2 {failed} (63.0 s)\n"
+    told = f"fit 7 of 54: lagrangian (proposed), seed 2 {failed} (1 min 03 s)\n"
     assert capsys.readouterr().err == told
 
 

@@ -120,7 +120,7 @@ def test_what_cannot_be_is_an_error(folder, arguments, error, problem) -> None:
 
 @pytest.mark.usefixtures("few_searches")
 def test_in_a_terminal_of_60_columns_no_line_is_longer(folder, monkeypatch) -> None:
-    monkeypatch.setattr("hil.cli.resting.out_width", lambda: 60)
+    monkeypatch.setattr("hil.cli.rest_pose.out_width", lambda: 60)
     monkeypatch.setattr("hil.cli.output.out_width", lambda: 60)
     done = CliRunner().invoke(app, ["rest-pose", str(folder)])
     assert done.exit_code == 0

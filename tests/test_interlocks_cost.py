@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from hil.cli import benchmarking
+from hil.cli.bench import measure
 
 
 def test_the_default_set_is_far_cheaper_than_computing_every_sample() -> None:
-    measured = benchmarking.measure("interlocks", quick=True)
+    measured = measure("interlocks", quick=True)
     assert measured["figures"]["computed_percent"] < 15
     assert measured["ratios"]["blocks_of_1"] > 4
     assert measured["ratios"]["blocks_of_16"] > 15

@@ -20,15 +20,16 @@ from live_client import PROTOCOL, Message, Viewer
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 
-from hil.cli.live_view import live_view, recorded_capabilities
+from hil.cli.run import live_view
 from hil.core.errors import DataError, PluginError
 from hil.core.typing import StructArray
 from hil.engine import live_view as server_module
-from hil.engine.live_view import FoxgloveLive, is_loopback
+from hil.engine.live_view import FoxgloveLive
 from hil.recording.mcap_reader import read_topic
 from hil.recording.run_directory import RunDirectory
 from hil.robot import Capabilities, Status, state_dtype
 from hil.robot.state import STATE_TOPIC
+from hil.workflow.recording import recorded_capabilities
 
 pytestmark = pytest.mark.wire
 
@@ -295,14 +296,6 @@ def test_without_the_extra_nothing_moves_and_the_remedy_is_told(
     assert not (tmp_path / "r").exists()
 
 
-@pytest.mark.parametrize(
-    ("host", "alone"),
-    [("127.0.0.1", True), ("::1", True), ("localhost", True), ("0.0.0.0", False), ("lab", False)],
-)
-def test_only_the_loopback_is_private(host: str, alone: bool) -> None:
-    assert is_loopback(host) == alone
-
-
 def test_a_view_for_others_comes_with_a_warning(capsys: pytest.CaptureFixture[str]) -> None:
     with live_view(lambda: ROBOT, True, 0, "0.0.0.0") as views:
         assert len(views) == 1
@@ -323,9 +316,9 @@ def test_nobody_asked_nothing_is_served() -> None:
 def test_a_resumed_run_is_shown_by_its_own_record(
     seen: tuple[Path, list[Message], str], tmp_path: Path
 ) -> None:
-    can = recorded_capabilities(seen[0])
+    can = recorded_capabilities(RunDirectory.open(seen[0]))
     assert can.joint_names[2] == "elbow_joint"
     assert (can.rate_hz, can.effort_kind, can.clock) == (125.0, "current", "virtual")
     (tmp_path / "start.json").write_text('{"hil_run": 1}')
     with pytest.raises(DataError, match="robot"):
-        recorded_capabilities(tmp_path)
+        recorded_capabilities(RunDirectory.open(tmp_path))

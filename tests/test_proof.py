@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import hil
-from hil.cli import benchmarking
+from hil.cli.bench import measure
 from hil.importers.sources import load_source
 from hil.recording.mcap_reader import read_topic
 
@@ -59,7 +59,7 @@ def test_what_was_commanded_stays_within_60_deg_s_and_80_deg_s2(program: Any) ->
 
 
 def test_reading_600_000_messages_beats_iterator_and_decoder_15_times() -> None:
-    document = benchmarking.measure("mcap")
+    document = measure("mcap")
     show(document)
     ratios = [v for k, v in document["ratios"].items() if "ros2" in k]
     assert ratios
@@ -68,7 +68,7 @@ def test_reading_600_000_messages_beats_iterator_and_decoder_15_times() -> None:
 
 @pytest.fixture(scope="module")
 def mock() -> Any:
-    document = benchmarking.measure("mock")
+    document = measure("mock")
     show(document)
     return document
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from hil.cli import benchmarking
+from hil.cli.bench import measure
 
 
 @pytest.mark.proof
 @pytest.mark.timeout(1800)
 def test_models_are_the_same_wherever_they_are_fitted_and_none_is_lost() -> None:
     pytest.importorskip("distributed", reason="distributed is not installed")
-    figures = benchmarking.measure("fleet")["figures"]
+    figures = measure("fleet")["figures"]
     assert figures["robots"] == 100
     assert figures["workers_killed"] == 2
     assert figures["models_compared"] == 2 * 6 * 100

@@ -6,14 +6,14 @@ from typing import Any
 
 import pytest
 
-from hil.cli import benchmarking
+from hil.cli.bench import measure
 
 pytestmark = pytest.mark.proof
 
 
 def shown(name: str, **options: Any) -> dict[str, float]:
     """The figures, printed for people: `make proof` runs with -s."""
-    figures: dict[str, float] = benchmarking.measure(name, **options)["figures"]
+    figures: dict[str, float] = measure(name, **options)["figures"]
     print(name, figures)  # noqa: T201
     return figures
 

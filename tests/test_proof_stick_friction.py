@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from hil.cli import benchmarking
+from hil.cli.bench import measure
 
 pytestmark = [pytest.mark.proof, pytest.mark.timeout(900)]
 
@@ -16,7 +16,7 @@ SEEDS = (101, 102, 103, 104, 105, 106)
 
 @pytest.fixture(scope="module")
 def static() -> Any:
-    document = benchmarking.measure("static", seeds=SEEDS)
+    document = measure("static", seeds=SEEDS)
     print(document)  # noqa: T201
     return document
 

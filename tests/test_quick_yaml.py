@@ -5,12 +5,13 @@ from __future__ import annotations
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import yaml
 
 from hil.arms import load_arm
-from hil.cli import candidates
+from hil.cli import completion
 from hil.core.errors import SpecError
 from hil.core.yaml import DEEPEST_LOOK, as_scalar, look_into
 from hil.maintenance.fleet_specs import spec_for
@@ -71,6 +72,8 @@ def test_files_from_elsewhere_are_refused_however_deep(tmp_path: Path) -> None:
 def test_robots_of_a_station_that_is_none_are_not_offered(tmp_path: Path) -> None:
     station = tmp_path / "station.yaml"
     station.write_bytes(b"robots: {one: 1}")
-    assert candidates.robots({"station": station}, "") == ["one"]
+    context = SimpleNamespace(params={"station": station})
+    complete = completion._completion_of(completion.BY_NAME["robot"])
+    assert complete(context, "") == ["one"]
     station.write_bytes(b"robots: {\xff: 1}")
-    assert candidates.robots({"station": station}, "") == []
+    assert complete(context, "") == []

@@ -9,7 +9,7 @@ import pytest
 from report_runs import JOINTS, dwell_plan, fourier_plan, rows_of_plan, write_run
 from study_parts import result
 
-from hil.cli.runs import tell_run
+from hil.cli.output import print_run
 from hil.core import parse_parameters
 from hil.core.errors import DataError
 from hil.core.lock_file import hold_run
@@ -226,7 +226,7 @@ def test_names_of_joints_are_never_shortened(tmp_path, width):
 
 def test_show_in_a_pipe_knows_no_columns(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("COLUMNS", "50")
-    tell_run(judged(tmp_path).path)
+    print_run(judged(tmp_path).path)
     table = [line for line in capsys.readouterr().out.splitlines() if line.startswith("J1 ")]
     assert len(table[0]) > 50
 

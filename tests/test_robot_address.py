@@ -61,7 +61,14 @@ def test_no_name_is_resolved(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(
-    "host", ["", "127.1", "0.0.0.0", "127.0.0.1.lab", "localhost.", "::ffff:10.0.0.1"]
+    "host", ["127.0.0.1", "127.3.2.1", "::1", "[::1]", "localhost", "LOCALHOST"]
+)
+def test_the_loopback_is_private(host: str) -> None:
+    assert is_loopback(host)
+
+
+@pytest.mark.parametrize(
+    "host", ["", "127.1", "0.0.0.0", "127.0.0.1.lab", "localhost.", "lab", "::ffff:10.0.0.1"]
 )
 def test_what_is_not_literally_loopback_counts_as_elsewhere(host: str) -> None:
     assert not is_loopback(host)

@@ -12,14 +12,11 @@ import pytest
 from hil.core.errors import SpecError
 from hil.core.yaml import read_source
 from hil.spec.documentation import (
-    experiment_schema,
     explain_key,
     keys_below,
     reference,
-    schedule_schema,
     schema_files,
-    series_schema,
-    station_schema,
+    schema_of,
 )
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.model_tree import Model, keys_of, tree
@@ -121,28 +118,28 @@ def _scalar_faults(value: Any, schema: dict[str, Any], at: str) -> list[str]:
 
 @pytest.mark.parametrize("path", EXPERIMENTS, ids=lambda path: path.name)
 def test_every_shipped_experiment_fits_the_schema(path: Path) -> None:
-    schema = experiment_schema()
+    schema = schema_of("experiment")
 
     assert faults(read_source(path).data, schema, schema) == []
 
 
 @pytest.mark.parametrize("path", SERIES, ids=lambda path: path.name)
 def test_every_shipped_series_fits_the_schema(path: Path) -> None:
-    schema = series_schema()
+    schema = schema_of("series")
 
     assert faults(read_source(path).data, schema, schema) == []
 
 
 @pytest.mark.parametrize("path", SCHEDULES, ids=lambda path: path.name)
 def test_every_shipped_schedule_fits_the_schema(path: Path) -> None:
-    schema = schedule_schema()
+    schema = schema_of("schedule")
 
     assert faults(read_source(path).data, schema, schema) == []
 
 
 @pytest.mark.parametrize("path", STATIONS, ids=lambda path: path.name)
 def test_every_shipped_station_fits_the_schema(path: Path) -> None:
-    schema = station_schema()
+    schema = schema_of("station")
 
     assert faults(read_source(path).data, schema, schema) == []
 
@@ -167,7 +164,7 @@ def test_every_shipped_station_fits_the_schema(path: Path) -> None:
     ],
 )
 def test_the_schema_refuses_what_loading_refuses(place: tuple[str, ...], value: object) -> None:
-    schema = experiment_schema()
+    schema = schema_of("experiment")
     data = read_source(ROOT / "experiments" / "ur5_dwell_650.yaml").data
     target = data
     for key in place[:-1]:
@@ -216,15 +213,15 @@ def test_every_key_says_what_it_means(model: Model) -> None:
 
 
 def test_titles_show_the_unit() -> None:
-    dwell = experiment_schema()["$defs"]["Dwell"]["properties"]
+    dwell = schema_of("experiment")["$defs"]["Dwell"]["properties"]
 
     assert dwell["max_acceleration_deg_s2"]["title"] == "max acceleration [°/s²]"
     assert dwell["seed"]["title"] == "seed"
 
 
 def test_the_schema_uses_the_keys_of_the_file() -> None:
-    assert set(experiment_schema()["properties"]) == set(keys_of(ExperimentSpec))
-    assert "validate" in experiment_schema()["properties"]
+    assert set(schema_of("experiment")["properties"]) == set(keys_of(ExperimentSpec))
+    assert "validate" in schema_of("experiment")["properties"]
 
 
 def test_a_key_is_explained_by_its_path() -> None:

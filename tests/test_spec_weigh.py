@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from hil.core.errors import SpecError
-from hil.spec.documentation import experiment_schema
+from hil.spec.documentation import schema_of
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.load import spec_from_text
 
@@ -52,7 +52,7 @@ def test_slips_are_explained(line: str, told: str) -> None:
 
 
 def test_editors_accept_what_is_accepted() -> None:
-    allowed = experiment_schema()["properties"]["weigh"]["anyOf"]
+    allowed = schema_of("experiment")["properties"]["weigh"]["anyOf"]
     assert {"$ref": "#/$defs/Weigh"} in allowed
     assert any(entry.get("const") is False for entry in allowed)
     assert {"type": "null"} in allowed

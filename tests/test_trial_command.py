@@ -50,7 +50,7 @@ def test_the_page_comes_first_then_a_few_lines(asked) -> None:
 
 
 def test_lines_are_folded_to_the_terminal(asked, monkeypatch) -> None:
-    monkeypatch.setattr("hil.cli.trying.width_of", lambda stream: 60)
+    monkeypatch.setattr("hil.cli.output.width_of", lambda stream: 60)
     lines = asked[1]().stdout.splitlines()
     assert max(map(len, lines)) <= 60
 

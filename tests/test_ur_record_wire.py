@@ -22,7 +22,7 @@ import pytest
 from ur_mock import MockUr, mock_ur
 
 import hil
-from hil.cli import benchmarking
+from hil.cli.bench import measure
 from hil.core.errors import RobotConnectionError, SpecError
 from hil.core.typing import StructArray
 from hil.importers.sources import load_source
@@ -238,7 +238,7 @@ def test_a_controller_that_is_switched_off_leaves_what_was_recorded(tmp_path):
 
 @pytest.mark.proof
 def test_the_benchmark_loses_nothing_and_names_its_peer():
-    document = benchmarking.measure("rtde", quick=True)
+    document = measure("rtde", quick=True)
     figures, ratios = document["figures"], document["ratios"]
     assert (figures["real_missing"], figures["free_missing"]) == (0, 0)
     assert figures["real_states_per_s"] == pytest.approx(500, rel=0.2)

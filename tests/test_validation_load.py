@@ -13,7 +13,7 @@ from load_parts import OFF_AXIS, recorded
 from synthetic_motion import nominal, raw
 
 from hil.arms.payload import Payload
-from hil.cli.under_load import print_under_load
+from hil.cli.fit import print_under_load
 from hil.core.errors import FitError
 from hil.data.dataset import Dataset
 from hil.estimators.rigid_linear import RigidWls

@@ -13,7 +13,7 @@ import pytest
 from starlette.routing import Route
 from starlette.testclient import TestClient
 
-from hil.cli.serving import _offered, serve
+from hil.cli.serve import serve, specs_folder
 from hil.core.errors import SpecError
 from hil.dashboard.limits import StreamLimit
 from hil.dashboard.security import MOST_BYTES, POLICY
@@ -265,8 +265,8 @@ def test_specs_offered_are_those_of_the_lab_or_of_this_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert _offered(None) == Path()
+    assert specs_folder(None) == Path()
     Path("experiments").mkdir()
-    assert _offered(None) == Path("experiments")
+    assert specs_folder(None) == Path("experiments")
     with pytest.raises(SpecError, match="--specs elsewhere is no folder"):
-        _offered(Path("elsewhere"))
+        specs_folder(Path("elsewhere"))

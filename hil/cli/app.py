@@ -1,45 +1,21 @@
-"""The `hil` command: gathers the verbs and turns errors into messages and exit codes."""
+"""The `hil` command: gathers the verbs, and turns errors into messages and exit codes.
+
+A verb is a function in a file of this folder, named after it or after the group of verbs it belongs
+to, and decorated with the `app` of that file. `FILES` lists the files.
+"""
 
 import contextlib
 import errno
 import os
 import signal
 import sys
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 import hil
-from hil.cli import (
-    bench,
-    data,
-    drift,
-    exciting,
-    explaining,
-    exports,
-    fleet,
-    gains,
-    listening,
-    live,
-    loads,
-    models,
-    pruning,
-    recover,
-    registry,
-    reidentify,
-    replaying,
-    resting,
-    running,
-    runs,
-    schedule,
-    serving,
-    specs,
-    starting,
-    studies,
-    system,
-    trying,
-)
 from hil.cli.output import fold, width_of
 from hil.cli.streams import Stream, guard_streams
 from hil.core import (
@@ -51,6 +27,14 @@ from hil.core import (
     exit_code_of,
     json_text,
 )
+
+FILES = (
+    "validate", "plan", "excite", "run", "record", "runs", "prune", "live", "recover", "replay",
+    "fit", "report", "gains", "new", "explain", "payload", "study", "models", "drift", "reidentify",
+    "fleet", "schedule", "serve", "rest_pose", "export", "try_out", "data", "mock", "doctor",
+    "bench",
+)  # fmt: skip
+"""Files with verbs, in the order of `hil --help`."""
 
 EXIT_CODES = (
     "Exit codes: 0 done · 2 spec or plan · 3 preflight · 4 robot · 5 interlock · 6 stopped "
@@ -65,17 +49,12 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-GROUPS = (
-    specs, exciting, running, listening, runs, pruning, live, recover, replaying, models, gains,
-    starting, explaining, loads, studies, registry, drift, reidentify, fleet, schedule, serving,
-    resting, exports, trying, data, system, bench,
-)  # fmt: skip
-for group in GROUPS:
-    group.register(app)
+for file in FILES:
+    app.add_typer(import_module(f"hil.cli.{file}").app)
 
 
-def _tell_version(asked: bool) -> None:
-    if asked:
+def _print_version(wanted: bool) -> None:
+    if wanted:
         typer.echo(f"hil {hil.__version__}")
         raise typer.Exit
 
@@ -84,7 +63,7 @@ def _tell_version(asked: bool) -> None:
 def _options(
     version: Annotated[
         bool,
-        typer.Option("--version", callback=_tell_version, is_eager=True, help="Say which hil."),
+        typer.Option("--version", callback=_print_version, is_eager=True, help="Say which hil."),
     ] = False,
 ) -> None:
     """From one YAML file to a validated robot model."""
@@ -96,25 +75,17 @@ def main() -> None:
     _end_like_ctrl_c()
     out = guard_streams()
     if "_HIL_COMPLETE" in os.environ:  # a shell asks which words fit
-        from hil.cli.completing import attach
+        from hil.cli.completion import attach
 
         attach(app)
     try:
         app(prog_name="hil")
     except HilError as error:
-        sys.exit(_tell(error, out))
+        sys.exit(_report(error, out))
     except OSError as error:
-        sys.exit(_tell(_named(error), out))
+        sys.exit(_report(_as_ours(error), out))
     except SystemExit as ending:
-        sys.exit(_ended(ending, out))
-
-
-def _end_like_ctrl_c() -> None:
-    """SIGTERM and a lost terminal end a command as Ctrl-C does: with words and exit code 130."""
-    for name in ("SIGTERM", "SIGHUP"):
-        number = getattr(signal, name, None)
-        if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, signal.default_int_handler)
+        sys.exit(_exit_code(ending, out))
 
 
 def _one_blas_thread() -> None:
@@ -123,9 +94,18 @@ def _one_blas_thread() -> None:
         os.environ.setdefault(variable, "1")
 
 
-def _tell(error: HilError, out: Stream | None) -> int:
+def _end_like_ctrl_c() -> None:
+    """Let SIGTERM and a lost terminal end a command as Ctrl-C does: message and exit code 130."""
+    for name in ("SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, signal.default_int_handler)
+
+
+def _report(error: HilError, out: Stream | None) -> int:
+    """Print an error and return its exit code."""
     kind, code = type(error).__name__, exit_code_of(error)
-    _print_error(out, kind, error.message, error.hint, code)
+    _print_json_error(out, kind, error.message, error.hint, code)
     width = width_of(sys.stderr)
     typer.secho(fold(f"{kind}: {error.message}", width), err=True, fg=typer.colors.RED)
     if error.hint:
@@ -133,21 +113,21 @@ def _tell(error: HilError, out: Stream | None) -> int:
     return code
 
 
-def _named(error: OSError) -> HilError:
-    """What the system refused, as one of our errors; nearly always it is a file to be written."""
-    told = ": ".join(str(part) for part in (error.filename, error.strerror or error) if part)
+def _as_ours(error: OSError) -> HilError:
+    """Return what the system refused as one of our errors; nearly always it is a file to write."""
+    message = ": ".join(str(part) for part in (error.filename, error.strerror or error) if part)
     if isinstance(error, ConnectionError | TimeoutError):
-        return RobotConnectionError(told, hint="see whether the robot is on and can be reached")
+        return RobotConnectionError(message, hint="see whether the robot is on and can be reached")
     if _is_of_an_installation(error):
         hint = "the installation lacks a file of its own or cannot read it: install hil again"
-        return PluginError(told, hint=hint)
+        return PluginError(message, hint=hint)
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
-        return RecordingError(told, hint="make room on the disk, or write to another place")
-    return RecordingError(told, hint="see whether the path exists and may be written to")
+        return RecordingError(message, hint="make room on the disk, or write to another place")
+    return RecordingError(message, hint="see whether the path exists and may be written to")
 
 
 def _is_of_an_installation(error: OSError) -> bool:
-    """Whether it is about a file that came with hil, a driver or a mock robot."""
+    """Return whether it is about a file that came with hil, a driver or a mock robot."""
     if not isinstance(error.filename, str):
         return False
     loaded = (sys.modules.get(name) for name in ("hil", "hil_mock_robot", "hil_drivers"))
@@ -155,26 +135,26 @@ def _is_of_an_installation(error: OSError) -> bool:
     return any(Path(error.filename).is_relative_to(folder) for folder in folders)
 
 
-def _ended(ending: SystemExit, out: Stream | None) -> int:
-    """The exit code of a command that typer has ended, with a document for whoever reads JSON."""
+def _exit_code(ending: SystemExit, out: Stream | None) -> int:
+    """Return the exit code of a command that typer has ended; print what `--json` still lacks."""
     code, cause = ending.code, ending.__context__
     if isinstance(cause, BrokenPipeError):  # not of our own streams, which bear it
-        return _tell(_named(cause), out)
+        return _report(_as_ours(cause), out)
     if not isinstance(code, int):
         return int(code is not None)
     interrupted = Stopped("interrupted", by_signal=True)
     if code == exit_code_of(interrupted) and not (out and out.used):
-        return _tell(interrupted, out)
+        return _report(interrupted, out)
     if code:
-        tell: Any = getattr(cause, "format_message", str)  # a mistake in the command line itself
-        _print_error(out, type(cause).__name__, str(tell()), "hil COMMAND --help", code)
+        message: Any = getattr(cause, "format_message", str)  # of a wrong command line
+        _print_json_error(out, type(cause).__name__, str(message()), "hil COMMAND --help", code)
     return code
 
 
-def _print_error(out: Stream | None, kind: str, message: str, hint: str, code: int) -> None:
-    """The one document of a command that failed before it could print its own."""
+def _print_json_error(out: Stream | None, kind: str, message: str, hint: str, code: int) -> None:
+    """Print the one document of a command that failed before it could print its own."""
     if "--json" not in sys.argv or out is None or out.used:
         return
-    told = {"kind": kind, "message": message, "hint": hint, "exit_code": code}
+    error = {"kind": kind, "message": message, "hint": hint, "exit_code": code}
     with contextlib.suppress(OSError):  # standard output may be what has failed
-        typer.echo(json_text({"error": told}))
+        typer.echo(json_text({"error": error}))

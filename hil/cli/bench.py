@@ -1,19 +1,26 @@
-"""`hil bench`: speed and memory as ratios against a peer measured in the same run."""
+"""`hil bench`: speed and memory as ratios against a peer measured in the same run.
 
+The benchmarks live in `benchmarks/` of a checkout and are no part of the wheel. Each is a file with
+a function `run(quick, …)` that returns `{name, figures, ratios}`; its first line describes it.
+"""
+
+import ast
+import importlib.util
+import inspect
+import sys
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from hil.cli.output import JsonFlag, fold, print_json, print_table
+from hil.cli.options import JsonFlag
+from hil.cli.output import fold, print_json, print_table
+from hil.core import PluginError, did_you_mean
 
-TABLE_WIDTH = 100
-
-
-def register(app: typer.Typer) -> None:
-    """Add this group's verb."""
-    app.command()(bench)
+app = typer.Typer()
 
 
+@app.command()
 def bench(
     name: Annotated[str, typer.Argument(help="Benchmark; `list` names them, `all` runs all.")],
     quick: Annotated[bool, typer.Option("--quick", help="A smaller problem.")] = False,
@@ -38,15 +45,18 @@ def bench(
     json: JsonFlag = False,
 ) -> None:
     """Measure; every ratio is against its peer in the same run."""
-    from hil.cli import benchmarking
-
     if name == "list":
-        _list(benchmarking.describe(), json)
+        described = {one: _description(one) for one in benchmarks()}
+        if json:
+            print_json([{"name": one, "description": text} for one, text in described.items()])
+        else:
+            print_table(("benchmark", "what"), described.items())
         return
-    given = {"kills": kills, "hours": hours, "mock": mock, "seeds": seed}
-    options = {option: value for option, value in given.items() if value}
-    chosen = benchmarking.names() if name == "all" else [name]
-    documents = [benchmarking.measure(one, quick=quick, **options) for one in chosen]
+    options = {"kills": kills, "hours": hours, "mock": mock, "seeds": seed}
+    options = {option: value for option, value in options.items() if value}
+    documents = [
+        measure(one, quick=quick, **options) for one in (benchmarks() if name == "all" else [name])
+    ]
     if json:
         print_json(documents if name == "all" else documents[0])
     else:
@@ -54,11 +64,8 @@ def bench(
             _print(document)
 
 
-def _list(known: dict[str, str], json: bool) -> None:
-    if json:
-        print_json([{"name": name, "description": told} for name, told in known.items()])
-    else:
-        print_table(("benchmark", "what"), list(known.items()))
+TABLE_WIDTH = 100
+"""Within which notes below tables are wrapped."""
 
 
 def _print(document: dict[str, Any]) -> None:
@@ -74,3 +81,57 @@ def _print(document: dict[str, Any]) -> None:
             print_table((f"  {part}", ""), rows)
     for peer, reason in document.get("skipped", {}).items():
         typer.echo(f"  {peer} left out: {reason}")
+
+
+FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
+
+
+def benchmarks() -> list[str]:
+    """Return the names of the benchmarks of this checkout.
+
+    Raises:
+        PluginError: `hil` is not running from a checkout.
+    """
+    if not FOLDER.is_dir():
+        raise PluginError(
+            "benchmarks are part of a checkout and this is an installed wheel",
+            hint="clone the repository and run `hil bench` there",
+        )
+    return sorted(file.stem for file in FOLDER.glob("*.py") if not file.stem.startswith("_"))
+
+
+def _description(name: str) -> str:
+    """Return the first line of a benchmark's file, without importing it."""
+    text = ast.get_docstring(ast.parse((FOLDER / f"{name}.py").read_text("utf-8"))) or ""
+    return text.partition("\n")[0]
+
+
+def measure(name: str, *, quick: bool = False, **options: Any) -> dict[str, Any]:
+    """Run one benchmark and return `{name, figures, ratios}`.
+
+    Args:
+        name: As listed by `benchmarks`.
+        quick: Use the smaller problem, for tests.
+        options: Further options of this benchmark, such as `kills` of `crash`.
+
+    Raises:
+        PluginError: There is no such benchmark, or it has no such option.
+    """
+    if name not in benchmarks():
+        raise PluginError(f"there is no benchmark {name!r}", hint=did_you_mean(name, benchmarks()))
+    module_spec = importlib.util.spec_from_file_location(f"bench_{name}", FOLDER / f"{name}.py")
+    assert module_spec is not None
+    assert module_spec.loader is not None
+    module = importlib.util.module_from_spec(module_spec)
+    sys.modules[module_spec.name] = module  # dataclasses look their types up there
+    if (root := str(FOLDER.parent)) not in sys.path:
+        sys.path.append(root)  # a benchmark's own modules are `benchmarks.…`
+    module_spec.loader.exec_module(module)
+    known = inspect.signature(module.run).parameters
+    if unknown := [option for option in options if option not in known]:
+        raise PluginError(
+            f"the benchmark {name} has no option {unknown[0]}",
+            hint=f"it has {', '.join(known)}",
+        )
+    document: dict[str, Any] = module.run(quick=quick, **options)
+    return document

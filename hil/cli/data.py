@@ -1,20 +1,18 @@
-"""`hil import`, `hil export-data`: recordings from other tools and for them."""
+"""`hil import` and `hil export-data`: recordings from other tools, and for them."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from hil.cli.output import JsonFlag, RunsOption, print_json, say
+from hil.cli.options import JsonFlag, RunsOption
+from hil.cli.output import print_json, say
 from hil.core import DataError
 
-
-def register(app: typer.Typer) -> None:
-    """Add this group's verbs."""
-    app.command("import")(import_)
-    app.command("export-data")(export_data)
+app = typer.Typer()
 
 
+@app.command("import")
 def import_(
     file: Annotated[Path, typer.Argument(help="CSV, .mat, ROS 2 bag, …", show_default=False)],
     map_: Annotated[
@@ -59,6 +57,19 @@ def import_(
         say(f"  {note}")
 
 
+def _window(text: str) -> tuple[int, int] | None:
+    if not text:
+        return None
+    try:
+        first, last = (int(part) for part in text.split(":"))
+    except ValueError:
+        raise DataError(
+            f"--rows {text!r} is no window of rows", hint="for example: --rows 635:3510"
+        ) from None
+    return first, last
+
+
+@app.command("export-data")
 def export_data(
     source: Annotated[
         str,
@@ -75,27 +86,15 @@ def export_data(
 ) -> None:
     """Write the samples of a run for other programs, one row each, nothing rounded."""
     from hil import api
-    from hil.cli.models import found
+    from hil.runs import find_source
 
-    (path,) = found([source], runs)
-    told = api.export_data(path, out)
+    path = find_source(source, runs)
+    export = api.export_data(path, out)
     if json:
-        print_json({"source": str(path), **told})
+        print_json({"source": str(path), **export})
         return
-    typer.echo(f"{out}: {told['samples']} samples of {told['series']} series")
-    for file in told["files"][1:]:
+    typer.echo(f"{out}: {export['samples']} samples of {export['series']} series")
+    for file in export["files"][1:]:
         typer.echo(f"  {file}")
-    for note in told["notes"]:
+    for note in export["notes"]:
         say(f"  note: {note}")
-
-
-def _window(text: str) -> tuple[int, int] | None:
-    if not text:
-        return None
-    try:
-        first, last = (int(part) for part in text.split(":"))
-    except ValueError:
-        raise DataError(
-            f"--rows {text!r} is no window of rows", hint="for example: --rows 635:3510"
-        ) from None
-    return first, last

@@ -5,16 +5,13 @@ from typing import Annotated, Any
 
 import typer
 
-from hil.cli.models import found
-from hil.cli.output import JsonFlag, RunsOption, print_json, print_table
-from hil.cli.registry import HERE, NameArgument, RegistryOption
+from hil.cli.options import REGISTRY, JsonFlag, NameArgument, RegistryOption, RunsOption
+from hil.cli.output import print_json, print_table
+
+app = typer.Typer()
 
 
-def register(app: typer.Typer) -> None:
-    """Add this group's verb."""
-    app.command()(drift)
-
-
+@app.command()
 def drift(
     name: NameArgument,
     probes: Annotated[
@@ -35,37 +32,39 @@ def drift(
         Path | None,
         typer.Option(metavar="FILE.html", help="Also write all of it as a page, with plots."),
     ] = None,
-    registry: RegistryOption = HERE,
+    registry: RegistryOption = REGISTRY,
     runs: RunsOption = Path("runs"),
     json: JsonFlag = False,
 ) -> None:
     """Judge probes against the champion; without any, what was said of those before."""
     from hil.models import Registry, assess, probes_of
+    from hil.runs import find_source
 
     home = Registry(registry)
     if probes:
-        sources = found(probes, runs)
-        told = [assess(home, name, source, false_alarm=false_alarm) for source in sources]
+        sources = [find_source(probe, runs) for probe in probes]
+        judged = [assess(home, name, source, false_alarm=false_alarm) for source in sources]
     else:
-        home.aliases(name)
-        told = probes_of(home, name)
+        home.aliases(name)  # raises if there is no such name
+        judged = probes_of(home, name)
     if page is not None:
         from hil.report import write_drift_page
 
         write_drift_page(home, name, page)
-    documents = [probe.to_dict() for probe in told]
+    documents = [probe.to_dict() for probe in judged]
     if json:
         print_json({"name": name, "probes": documents})
-    elif told:
+        return
+    if documents:
         header = ("taken (UTC)", "probe", "champion", "changed", "what")
         print_table(header, [_row(document) for document in documents])
     else:
         typer.echo(f"no probes of {name} yet: hil drift {name} PROBE")
-    if page is not None and not json:
+    if page is not None:
         typer.echo(f"page: {page}")
 
 
-def _row(told: dict[str, Any]) -> tuple[str, ...]:
-    changed = "yes" if told["changed"] else "no"
-    name = Path(told["source"]).name
-    return told["at"][:16], name, f"v{told['champion']}", changed, told["text"]
+def _row(probe: dict[str, Any]) -> tuple[str, ...]:
+    changed = "yes" if probe["changed"] else "no"
+    name = Path(probe["source"]).name
+    return probe["at"][:16], name, f"v{probe['champion']}", changed, probe["text"]

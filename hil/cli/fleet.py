@@ -1,4 +1,7 @@
-"""`hil fleet`: many robots of one station."""
+"""`hil fleet`: many robots of one station, run, fitted and compared.
+
+`run` and `resume` move the robots; `fit`, `drift` and `report` are functions of the recordings.
+"""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -7,31 +10,44 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hil.cli import fleet_models
-from hil.cli.attended import OperatorOption, WaiveOption, YesFlag, waivers_of
-from hil.cli.fleet_models import FolderArgument, WorkersOption
-from hil.cli.output import JsonFlag, RunsOption, SpecPath, StationOption, print_json, print_table
+from hil.cli.options import (
+    REGISTRY,
+    JsonFlag,
+    OperatorOption,
+    ParametersOption,
+    RegistryOption,
+    RunsOption,
+    SpecArgument,
+    StationOption,
+    WaiveOption,
+    YesFlag,
+    waivers_of,
+)
+from hil.cli.output import fail, print_json, print_table
 
 if TYPE_CHECKING:
-    from hil.maintenance import FleetReport, Manner
+    from hil.maintenance import Manner
+    from hil.models import RobotFit, RobotProbe
     from hil.recording import FleetGroup, Member
     from hil.workflow import Moves
 
+FolderArgument = Annotated[
+    Path, typer.Argument(help="Folder of the fleet: RUNS/DAY/fleet/NAME.", show_default=False)
+]
+WorkersOption = Annotated[
+    int, typer.Option("--workers", min=0, help="At a time; 0: one per core of this computer.")
+]
+
 app = typer.Typer(
+    name="fleet",
     no_args_is_help=True,
     help="Many robots of one station: run, fit, report.",
 )
 
 
-def register(parent: typer.Typer) -> None:
-    """Add this group's verbs."""
-    fleet_models.register(app)
-    parent.add_typer(app, name="fleet")
-
-
 @app.command()
 def run(
-    spec: SpecPath,
+    spec: SpecArgument,
     robots: Annotated[
         list[str],
         typer.Option(
@@ -56,16 +72,17 @@ def run(
     from hil.recording import FleetGroup
     from hil.workflow import confirm_together
 
-    waived = waivers_of(waive or ())
+    waivers = waivers_of(waive)
     bench, _, where = find_station(spec.resolve().parent, station)
-    text, (patterns, naming, named) = spec.read_text("utf-8"), robots_named(robots)
+    text, (patterns, naming, addresses) = spec.read_text("utf-8"), robots_named(robots)
     specs = {name: spec_for(text, str(spec), name) for name in robots_like(bench, patterns, where)}
     file = where if Path(where).is_file() else ""
-    moves = _moves(specs, spec, file, naming, named)
+    moves = _moves(specs, spec, file, naming, addresses)
     confirmed = confirm_together(moves, who=operator, yes=yes)
     name = next(iter(moves.experiments.values())).spec.name
-    fleet = FleetGroup.create(runs, name, specs, spec, file, robots=naming if named else None)
-    _run(fleet, Manner(workers or cores(), operator, waived, confirmed), json)
+    robots_file = naming if addresses else None
+    fleet = FleetGroup.create(runs, name, specs, spec, file, robots=robots_file)
+    _run(fleet, Manner(workers or cores(), operator, waivers, confirmed), json)
 
 
 @app.command()
@@ -83,25 +100,25 @@ def resume(
     from hil.recording import FleetGroup
     from hil.workflow import confirm_together
 
+    waivers = waivers_of(waive)
     fleet = FleetGroup.open(folder)
     head, naming = fleet.head, fleet.head.get("robots")
     left = {name: fleet.spec_of(name).read_text("utf-8") for name in robots_left(fleet)}
-    _, file, named = robots_named([naming] if naming else [])
-    moves = _moves(left, Path(head["source"]), head["station"], file, named)
+    _, file, addresses = robots_named([naming] if naming else [])
+    moves = _moves(left, Path(head["source"]), head["station"], file, addresses)
     confirmed = confirm_together(moves, who=operator, yes=yes)
-    manner = Manner(workers or cores(), operator, waivers_of(waive or ()), confirmed)
-    _run(fleet, manner, json)
+    _run(fleet, Manner(workers or cores(), operator, waivers, confirmed), json)
 
 
 def _moves(
-    specs: Mapping[str, str], spec: Path, station: str, naming: Path, named: Mapping[str, str]
+    specs: Mapping[str, str], spec: Path, station: str, naming: Path, addresses: Mapping[str, str]
 ) -> "Moves":
     """Return what a fleet moves: the spec as each robot runs it, and the file that names robots."""
     from hil.maintenance import experiment_for
     from hil.workflow import Moves
 
     if not specs:
-        return Moves(naming, named, {})
+        return Moves(naming, addresses, {})
     at = Path(station) if station else None
     first = experiment_for(next(iter(specs.values())), spec.resolve().parent, at, spec)
     robots = first.station.robots  # the specs differ in nothing else: reading each takes too long
@@ -110,7 +127,7 @@ def _moves(
         for name in specs
         if name in robots
     }
-    return Moves(naming, named, members)
+    return Moves(naming, addresses, members)
 
 
 def _run(fleet: "FleetGroup", manner: "Manner", json: bool) -> None:
@@ -124,12 +141,6 @@ def _run(fleet: "FleetGroup", manner: "Manner", json: bool) -> None:
     with fleet.held():
         report = run_fleet(fleet, manner, tell)
     ignore_from_now_on()
-    _tell(report, json)
-
-
-def _tell(report: "FleetReport", json: bool) -> None:
-    from hil.cli.runs import fail
-
     if json:
         print_json(report.to_dict())
     else:
@@ -143,3 +154,154 @@ def _tell(report: "FleetReport", json: bool) -> None:
         hint = f"when the cause is mended: hil fleet resume {report.folder}"
         error.hint = f"{error.hint}; {hint}" if error.hint else hint
     fail(error, json)
+
+
+@app.command()
+def fit(
+    what: Annotated[
+        list[str],
+        typer.Argument(metavar="FOLDER|RUN...", help="A fleet, or runs.", show_default=False),
+    ],
+    estimator: Annotated[str, typer.Option("--estimator", "-e", help="Name of the estimator.")],
+    options: ParametersOption = None,
+    workers: WorkersOption = 0,
+    dask: Annotated[
+        str, typer.Option("--dask", help="Scheduler of a Dask cluster, in place of processes.")
+    ] = "",
+    out: Annotated[
+        Path | None,
+        typer.Option("-o", "--out", help="Where models go; by default `models` of the fleet."),
+    ] = None,
+    register: Annotated[
+        bool,
+        typer.Option("--register", help="As challenger of the robot's name, or first champion."),
+    ] = False,
+    registry: RegistryOption = REGISTRY,
+    runs: RunsOption = Path("runs"),
+    json: JsonFlag = False,
+) -> None:
+    """Fit every robot by itself, on processes of this computer or a Dask cluster."""
+    from hil import api
+    from hil.cli.progress import MovingLine
+    from hil.core import FitError, checked_address, cores
+    from hil.models import FitSettings, Registry, fit_runs, register_fit, store_fits
+
+    sources, home = _runs_of(what, runs)
+    address = checked_address("--dask", dask or None)
+    settings = FitSettings(estimator, api.parse_parameters(options or ()))
+    with MovingLine() as line:
+        results = fit_runs(
+            sources,
+            settings,
+            workers=workers or cores(),
+            dask=address,
+            tell=lambda done: line.show(f"{done} of {len(sources)} fitted"),
+        )
+        line.end(keep=True)
+    fits = store_fits(sources, results, out or home)
+    if register:
+        fits = [register_fit(one, Registry(registry)) for one in fits]
+    if json:
+        print_json({"fits": [one.to_dict() for one in fits]})
+    else:
+        print_table(("robot", "RMSE [raw]", "criteria", "is", "model"), map(_fit_row, fits))
+    if failed := [one for one in fits if one.error]:
+        lack = "are not registered" if register else "have no model"
+        first = f"{failed[0].robot}: {failed[0].error}"
+        error = FitError(
+            f"{len(failed)} of {len(fits)} robots {lack}; {first}",
+            hint="see the robots named above; the others are fitted",
+        )
+        fail(error, json)
+
+
+def _runs_of(what: list[str], runs: Path) -> tuple[list[Path], Path]:
+    """Return the runs of a fleet's folder, or those that are named; and where models go."""
+    from hil.core import DataError
+    from hil.recording import FleetGroup, RunDirectory
+    from hil.runs import find_source
+
+    if len(what) == 1 and FleetGroup.is_at(Path(what[0])):
+        fleet = FleetGroup.open(Path(what[0]))
+        if not (done := fleet.completed()):
+            raise DataError(
+                f"no robot of {fleet.path} has been measured",
+                hint=f"hil fleet resume {fleet.path}",
+            )
+        return done, fleet.models
+    return [RunDirectory.open(find_source(one, runs)).path for one in what], Path("models")
+
+
+def _fit_row(fit: "RobotFit") -> tuple[str, ...]:
+    rmse = fit.result.rmse
+    mean = f"{sum(rmse) / len(rmse):.4f}" if rmse else ""
+    word = {True: "met", False: "missed", None: ""}[fit.result.passed]
+    run = "run rejected" if fit.verdict == "rejected" else ""
+    role = " ".join(filter(None, (fit.registered, fit.role)))
+    return fit.robot, mean, ", ".join(filter(None, (word, run))), role, fit.error or str(fit.model)
+
+
+@app.command()
+def drift(
+    folder: FolderArgument,
+    false_alarm: Annotated[
+        float,
+        typer.Option(
+            help="Nominal probability with which any of the robots is called changed, if none is."
+        ),
+    ] = 0.01,
+    registry: RegistryOption = REGISTRY,
+    json: JsonFlag = False,
+) -> None:
+    """Judge the runs of a fleet as probes, each against its robot's champion."""
+    from hil.core import DataError
+    from hil.models import Registry, probe_fleet
+
+    probes = probe_fleet(folder, Registry(registry), false_alarm)
+    if json:
+        print_json({"probes": [one.to_dict() for one in probes]})
+    else:
+        print_table(("robot", "changed", "what"), map(_drift_row, probes))
+    if failed := [one for one in probes if one.error]:
+        first = f"{failed[0].robot}: {failed[0].error}"
+        error = DataError(
+            f"{len(failed)} of {len(probes)} robots are not judged; {first}",
+            hint="see the robots named above; the others are judged",
+        )
+        fail(error, json)
+
+
+def _drift_row(one: "RobotProbe") -> tuple[str, ...]:
+    if one.probe is None:
+        return one.robot, "?", one.error
+    what = "; ".join(filter(None, (one.probe.text, one.note)))
+    return one.robot, "yes" if one.probe.changed else "no", what
+
+
+@app.command()
+def report(
+    folder: FolderArgument,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="The page; by default in the folder.")
+    ] = None,
+    workers: WorkersOption = 0,
+    registry: RegistryOption = REGISTRY,
+    json: JsonFlag = False,
+) -> None:
+    """Which robots have drifted or stand out; friction over age and temperature."""
+    from hil.core import cores
+    from hil.models import Registry, survey_fleet
+    from hil.recording import FleetGroup
+    from hil.report import render_fleet, standing_out
+
+    survey = survey_fleet(folder, Registry(registry), workers=workers or cores())
+    page = render_fleet(survey, out or FleetGroup.page_in(folder))
+    if json:
+        print_json({**survey.to_dict(), "page": str(page)})
+        return
+    rows = [(one.robot, f"{one.age:.1f}", why) for one, why in standing_out(survey)]
+    if rows:
+        print_table(("robot", "years", "why"), rows)
+    else:
+        typer.echo(f"none of {len(survey.robots)} robots has drifted or stands out")
+    typer.echo(f"page: {page}")

@@ -2,24 +2,22 @@
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from hil.cli.models import Sources, found
-from hil.cli.output import JsonFlag, RunsOption, print_json, print_table
+from hil.cli.options import JsonFlag, RunsOption, SourcesArgument
+from hil.cli.output import print_json, print_table
 
 if TYPE_CHECKING:
     from hil.evaluation import GainsMethod
 
-
-def register(app: typer.Typer) -> None:
-    """Add this group's verb."""
-    app.command()(gains)
+app = typer.Typer()
 
 
+@app.command()
 def gains(
-    sources: Sources,
+    sources: SourcesArgument,
     robot: Annotated[
         str, typer.Option("--robot", help="Built-in arm or URDF; by default what the data says.")
     ] = "",
@@ -38,24 +36,24 @@ def gains(
     json: JsonFlag = False,
 ) -> None:
     """Drive gains [N·m/A] from known loads, or from the controller's own currents and torques."""
-    from typing import cast
-
     from hil.estimators import write_gains
     from hil.evaluation import gains_of_sources
+    from hil.runs import find_source
 
-    result = gains_of_sources(found(sources, runs), robot or None, cast("GainsMethod", method))
-    told = result.to_dict()
+    recordings = [find_source(one, runs) for one in sources]
+    result = gains_of_sources(recordings, robot or None, cast("GainsMethod", method)).to_dict()
     if out is not None:
-        write_gains(out, told["yaml"])
+        write_gains(out, result["yaml"])
     if json:
-        print_json(told)
-    elif told["method"] == "controller":
-        typer.echo(f"method: controller, its currents and torques in {told['samples']} samples")
-        _print(told, ("gain",), {"residual": map(_percent, told["residual_share"])})
+        print_json(result)
+    elif result["method"] == "controller":
+        samples = result["samples"]
+        typer.echo(f"method: controller, its currents and torques in {samples} samples")
+        _print(result, ("gain",), {"residual": map(_percent, result["residual_share"])})
     else:
-        masses = ", ".join(f"{mass:g}" for mass in told["masses_kg"])
-        typer.echo(f"method: known loads, loads of {masses} kg at {told['poses']} poses")
-        _print(told, ("gain", "k1", "k2"), {})
+        masses = ", ".join(f"{mass:g}" for mass in result["masses_kg"])
+        typer.echo(f"method: known loads, loads of {masses} kg at {result['poses']} poses")
+        _print(result, ("gain", "k1", "k2"), {})
 
 
 COLUMNS = {
@@ -63,28 +61,33 @@ COLUMNS = {
     "k1": ("K1 [N·m/A]", "_nm_a"),
     "k2": ("K2 [N·m/A²]", "_nm_a2"),
 }
+"""Headings, and units in the keys of the document."""
 
 
-def _print(told: dict[str, Any], keys: tuple[str, ...], more: Mapping[str, Iterable[str]]) -> None:
-    names = told["joint_names"]
-    declared = told["declared_nm_a"] or [None] * len(names)
-    units = [COLUMNS[key][1] for key in keys]
+def _print(
+    result: dict[str, Any], keys: tuple[str, ...], more: Mapping[str, Iterable[str]]
+) -> None:
+    names = result["joint_names"]
     columns = [
-        map(_with_error, told[key + unit], told[f"{key}_error{unit}"])
-        for key, unit in zip(keys, units, strict=True)
+        map(_with_error, result[f"{key}{unit}"], result[f"{key}_error{unit}"])
+        for key in keys
+        for _, unit in [COLUMNS[key]]
     ]
-    shown = [f"{value:.2f}" if value is not None else "–" for value in declared]
+    declared = [
+        "–" if value is None else f"{value:.2f}"
+        for value in result["declared_nm_a"] or [None] * len(names)
+    ]
     print_table(
         ("joint", *(COLUMNS[key][0] for key in keys), *more, "declared"),
-        list(zip(names, *columns, *more.values(), shown, strict=True)),
+        list(zip(names, *columns, *more.values(), declared, strict=True)),
     )
-    for name, reason in told["not_determined"].items():
+    for name, reason in result["not_determined"].items():
         typer.echo(f"  {name}: {reason}")
-    for note in told["notes"]:
+    for note in result["notes"]:
         typer.echo(f"  note: {note}")
-    if told["yaml"]:
+    if result["yaml"]:
         typer.echo("\nfor a station, an import map or hil fit --gains:")
-    for line in told["yaml"]:
+    for line in result["yaml"]:
         typer.echo(line)
 
 

@@ -1,202 +1,316 @@
-"""`hil fit`, `hil evaluate`, `hil report`: pure functions of recorded data."""
+"""`hil models`: versions of models, champion and challenger, promotion and rollback."""
 
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hil.cli.output import JsonFlag, RunsOption, print_json, print_table, say
-from hil.cli.runs import RunArgument
-from hil.cli.under_load import print_under_load
-from hil.core import DataError
+from hil.cli.options import (
+    REGISTRY,
+    JsonFlag,
+    ModelArgument,
+    NameArgument,
+    RegistryOption,
+    RunsOption,
+    SourcesArgument,
+)
+from hil.cli.output import print_errors, print_json, print_table, say
+from hil.core import RegistryError, SpecError, shell_word
 
-Sources = Annotated[
-    list[str],
-    typer.Argument(
-        metavar="SOURCE...",
-        help="Runs (directory, name or number) or MCAP files.",
-        show_default=False,
-    ),
-]
+if TYPE_CHECKING:
+    from hil.models import Aliases, Registry
 
-ModelArgument = Annotated[
-    str,
-    typer.Argument(
-        help="Model folder, or a run (directory, name or number) with one model.",
-        show_default=False,
-    ),
-]
-
-
-def register(app: typer.Typer) -> None:
-    """Add this group's verbs."""
-    app.command()(fit)
-    app.command()(evaluate)
-    app.command()(report)
+app = typer.Typer(
+    name="models",
+    no_args_is_help=True,
+    help="Registered models: versions, champion and challenger, promotion and the way back.",
+)
 
 
-def fit(
-    sources: Sources,
-    estimator: Annotated[str, typer.Option("--estimator", "-e", help="Name of the estimator.")],
-    robot: Annotated[
-        str, typer.Option("--robot", help="Built-in arm or URDF; by default what the data says.")
-    ] = "",
-    payload: Annotated[
-        str,
-        typer.Option(
-            "--payload",
-            help="Declared load as MASS_KG or MASS_KG,X_M,Y_M,Z_M; by default what the data says.",
-        ),
-    ] = "",
-    gains: Annotated[
-        Path | None,
-        typer.Option(
-            "--gains",
-            help="File with drive_gains_nm_a (hil gains -o); by default what the data says.",
-        ),
-    ] = None,
-    validate: Annotated[
-        list[str] | None,
-        typer.Option("--validate", help="Held-out run or MCAP file; repeat for several."),
-    ] = None,
-    options: Annotated[
-        list[str] | None,
-        typer.Option("--set", help="Estimator parameter as NAME=VALUE (YAML value)."),
-    ] = None,
-    out: Annotated[
-        Path, typer.Option("-o", "--out", help="Where the model folder is made.")
-    ] = Path("models"),
-    page: Annotated[
-        Path | None, typer.Option("--report", help="Also write an HTML report here.")
-    ] = None,
-    checkpoints: Annotated[
-        Path | None,
-        typer.Option("--checkpoints", help="Keep a network's training here, and go on from it."),
-    ] = None,
-    runs: RunsOption = Path("runs"),
-    json: JsonFlag = False,
-) -> None:
-    """Fit an estimator to recordings and judge it on others."""
-    from hil import api
-    from hil.cli.progress import TrainingLine
+@app.command("list")
+def list_models(registry: RegistryOption = REGISTRY, json: JsonFlag = False) -> None:
+    """Names, their champions and challengers."""
+    from hil.models import Registry
 
-    with TrainingLine() as line, _told_how_to_go_on(checkpoints):
-        result = api.fit(
-            found(sources, runs),
-            estimator=estimator,
-            robot=robot or None,
-            payload=payload or None,
-            gains=gains,
-            validate=found(validate or (), runs),
-            parameters=api.parse_parameters(options or ()),
-            out=out,
-            page=page,
-            checkpoints=checkpoints,
-            watch=line,
-        )
-    document = result.to_dict()
+    home = Registry(registry)
+    rows = []
+    for name in home.names():
+        roles, problem = _roles(home, name)
+        rows.append({"name": name, "versions": len(home.versions(name)), **roles.to_dict(),
+                     "problem": problem and problem.message})  # fmt: skip
+        _warn(problem)
     if json:
-        print_json(document)
+        print_json({"registry": str(registry), "models": rows})
         return
-    say(f"{estimator}: fitted in {document['seconds']:.2f} s → {document['model']}")
-    _print_validation(document["validation"])
-
-
-@contextmanager
-def _told_how_to_go_on(checkpoints: Path | None) -> Iterator[None]:
-    """Says after Ctrl-C that a training was kept, where one was."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        if checkpoints is not None and any(checkpoints.rglob("checkpoint.json")):
-            kept = f"the training is kept in {checkpoints}; the same command goes on with it"
-            typer.echo(kept, err=True)
-        raise
-
-
-def evaluate(
-    model: ModelArgument,
-    sources: Sources,
-    runs: RunsOption = Path("runs"),
-    json: JsonFlag = False,
-) -> None:
-    """Judge a saved model on recordings it has not seen."""
-    from hil import api
-
-    folder = found_model(model, runs)
-    rows = api.evaluate(folder, found(sources, runs))
-    if json:
-        print_json({"model": str(folder), "validation": rows})
-    else:
-        _print_validation(rows)
-
-
-def report(
-    run: RunArgument,
-    runs: RunsOption = Path("runs"),
-    json: JsonFlag = False,
-) -> None:
-    """Write (again) the HTML report of a run, or the overview of a series."""
-    from hil.recording import SeriesGroup
-    from hil.report import render_report, render_series
-    from hil.runs import find_run
-
-    path = find_run(run, runs)
-    page = render_series(path) if SeriesGroup.is_at(path) else render_report(path)
-    if json:
-        print_json({"run": str(path), "report": str(page)})
-    else:
-        typer.echo(str(page))
-
-
-def found(sources: Iterable[str], runs: Path) -> list[Path]:
-    """Files and directories as they are given; anything else is a run's name or number."""
-    from hil.runs import find_run
-
-    given = [(text, Path(text)) for text in sources]
-    plain = [
-        path.exists() or path.name != text or path.suffix == ".mcap"  # no run's name ends so
-        for text, path in given
-    ]
-    return [
-        path if as_it_is else find_run(text, runs)
-        for (text, path), as_it_is in zip(given, plain, strict=True)
-    ]
-
-
-def found_model(named: str, runs: Path) -> Path:
-    """The folder of a model: itself, or the only one in a folder or run, by path, name or number.
-
-    Raises:
-        DataError: There is none, or there are several.
-    """
-    from hil.estimators import only_model
-
-    try:
-        (path,) = found([named], runs)
-    except DataError as error:
-        told = f"there is no model folder {named}; {error.message}"
-        raise DataError(told, hint=error.hint) from None
-    return only_model(path)
-
-
-def _print_validation(rows: list[dict[str, Any]]) -> None:
     if not rows:
-        say("not validated; hold data out with: --validate SOURCE")
+        say(f"no models in {registry}; register one: hil models register MODEL --name NAME")
         return
-    for row in rows:
-        unit, n = row["unit"], len(row["rmse_raw"])
-        say(f"validated on {row['source']} [{unit}]")
-        print_table(
-            ("RMSE", *(f"J{j + 1}" for j in range(n)), "mean"),
-            [
-                (label, *(f"{v:.4f}" for v in row[f"rmse_{key}"]), f"{row[f'mean_{key}']:.4f}")
-                for label, key in (("raw", "raw"), ("filtered", "filtered"))
-            ],
+    print_table(
+        ("name", "versions", "champion", "challenger"),
+        [(one["name"], str(one["versions"]),
+          "log damaged" if one["problem"] else _label(one["champion"]), _label(one["challenger"]))
+         for one in rows],
+    )  # fmt: skip
+
+
+@app.command()
+def show(
+    name: NameArgument,
+    version: Annotated[
+        str, typer.Argument(help="champion, challenger or v3; by default all.")
+    ] = "",
+    registry: RegistryOption = REGISTRY,
+    json: JsonFlag = False,
+) -> None:
+    """Versions of a name, or all that is known of one."""
+    from hil.models import Registry
+
+    home = Registry(registry)
+    if version:
+        print_json(home.version(name, version).to_dict())
+        return
+    versions = home.versions(name)
+    aliases, problem = _roles(home, name)
+    _warn(problem)
+    if json:
+        document = {"name": name, **aliases.to_dict(), "problem": problem and problem.message}
+        print_json({**document, "versions": [one.to_dict() for one in versions]})
+        return
+    role = {aliases.champion: "champion", aliases.challenger: "challenger"}
+    print_table(
+        ("version", "is", "estimator", "registered (UTC)", "by", "of run"),
+        [(one.label, role.get(one.number, ""), str(one.facts.get("estimator", "")),
+          one.registered[:16], one.by, _run(one.facts)) for one in versions],
+    )  # fmt: skip
+
+
+@app.command("register")
+def register_model(
+    model: ModelArgument,
+    name: Annotated[str, typer.Option("--name", help="Name of the models.", show_default=False)],
+    data: Annotated[
+        list[str] | None,
+        typer.Option("--data", help="Recording it was fitted to, where it is not of a run."),
+    ] = None,
+    challenger: Annotated[
+        bool, typer.Option("--challenger", help="To be compared with the champion.")
+    ] = False,
+    registry: RegistryOption = REGISTRY,
+    runs: RunsOption = Path("runs"),
+    json: JsonFlag = False,
+) -> None:
+    """Add a model as a version; the same model twice is one version."""
+    from hil.models import Registry, facts_of
+    from hil.runs import find_model, find_source
+
+    home, folder = Registry(registry), find_model(model, runs)
+    facts = facts_of(folder, [find_source(one, runs) for one in data or ()])
+    version = home.register(name, folder, facts, challenger=challenger)
+    if json:
+        print_json(version.to_dict())
+        return
+    typer.echo(f"{name} {version.label}: {version.facts.get('estimator', '')} → {version.folder}")
+    if not home.aliases(name).champion:
+        typer.echo(f"make it champion: hil models promote {name} {version.label}")
+
+
+@app.command()
+def compare(
+    name: NameArgument,
+    version: Annotated[str, typer.Argument(help="challenger or v3.")],
+    sources: SourcesArgument,
+    against: Annotated[str, typer.Option("--with", help="champion or v2.")] = "champion",
+    registry: RegistryOption = REGISTRY,
+    runs: RunsOption = Path("runs"),
+    json: JsonFlag = False,
+) -> None:
+    """Two versions on the same recordings, which neither was fitted to."""
+    from hil.models import Registry, compare_sources
+    from hil.runs import find_source
+
+    home = Registry(registry)
+    old, new = home.version(name, against), home.version(name, version)
+    models = home.load(name, old.label), home.load(name, new.label)
+    comparison = compare_sources(*models, [find_source(one, runs) for one in sources]).to_dict()
+    if json:
+        print_json({"name": name, "champion": old.label, "challenger": new.label, **comparison})
+        return
+    _print_comparison(comparison, old.label, new.label)
+
+
+@app.command()
+def promote(
+    name: NameArgument,
+    version: Annotated[str, typer.Argument(help="challenger or v3.")] = "challenger",
+    on: Annotated[
+        list[str] | None,
+        typer.Option("--on", help="Run or MCAP file to compare on; repeat for several."),
+    ] = None,
+    max_rmse: Annotated[
+        float | None,
+        typer.Option("--max-rmse", help="Largest mean RMSE (raw) on each, in the data's unit."),
+    ] = None,
+    unless_worse: Annotated[
+        bool, typer.Option("--unless-worse", help="Also where neither errs less for sure.")
+    ] = False,
+    reason: Annotated[str, typer.Option("--reason", help="For the log.")] = "",
+    registry: RegistryOption = REGISTRY,
+    runs: RunsOption = Path("runs"),
+    json: JsonFlag = False,
+) -> None:
+    """Make a version champion, if it errs less on recordings that neither was fitted to.
+
+    The first one needs none: there is nothing to compare it with.
+    """
+    from hil.evaluation import Criterion
+    from hil.models import Registry, challenge, require_promoted
+    from hil.runs import find_source
+
+    home = Registry(registry)
+    if not on and (max_rmse is not None or home.aliases(name).champion):
+        raise SpecError(
+            "nothing to judge it on: only a first champion without --max-rmse needs no recording",
+            hint="name a recording neither was fitted to: --on SOURCE",
         )
-        if row["under_load"]:
-            print_under_load(row["under_load"])
-        for note in row["notes"]:
-            say(f"  note: {note}")
+    criteria = () if max_rmse is None else (Criterion("rmse_raw", max_rmse),)
+    decision = challenge(
+        home,
+        name,
+        version,
+        [find_source(one, runs) for one in on or ()],
+        criteria=criteria,
+        unless_worse=unless_worse,
+        reason=reason,
+    )
+    if json:
+        print_json(decision.to_dict())
+    elif decision.promoted:
+        comparison, before = decision.comparison, decision.instead_of
+        if comparison is not None and before is not None:
+            _print_comparison(comparison.to_dict(), before.label, decision.version.label)
+        typer.echo(f"{name}: {decision.version.label} is champion: {decision.reason}")
+    require_promoted(decision)
+
+
+@app.command()
+def rollback(
+    name: NameArgument,
+    to: Annotated[str, typer.Option("--to", help="v2; by default the champion before.")] = "",
+    reason: Annotated[str, typer.Option("--reason", help="For the log.")] = "",
+    registry: RegistryOption = REGISTRY,
+    json: JsonFlag = False,
+) -> None:
+    """Make the champion before the present one champion again."""
+    from hil.models import Registry
+
+    home = Registry(registry)
+    number = home.version(name, to).number if to else 0
+    aliases = home.roll_back(name, reason=reason, to=number)
+    if json:
+        print_json({"name": name, **aliases.to_dict()})
+    else:
+        typer.echo(f"{name}: v{aliases.champion} is champion again")
+
+
+@app.command()
+def log(name: NameArgument, registry: RegistryOption = REGISTRY, json: JsonFlag = False) -> None:
+    """What was done to a name's versions, when, by whom and why."""
+    from hil.models import Registry
+
+    entries = Registry(registry).log(name)
+    if json:
+        print_json({"name": name, "log": [entry.to_dict() for entry in entries]})
+        return
+    print_table(
+        ("when (UTC)", "version", "what", "by", "why"),
+        [(one.at[:19], one.label, one.event, one.by, one.reason) for one in entries],
+    )
+
+
+@app.command()
+def check(registry: RegistryOption = REGISTRY, json: JsonFlag = False) -> None:
+    """Compare every file with its digest and every log with its head; rebuild the views.
+
+    Nothing is written for a damaged name.
+    """
+    from hil.models import Registry
+
+    rows = [
+        {"name": name, "versions": len(versions), **aliases.to_dict()}
+        for name, (versions, aliases) in Registry(registry).check().items()
+    ]
+    if json:
+        print_json({"registry": str(registry), "models": rows})
+    else:
+        count = sum(one["versions"] for one in rows)
+        typer.echo(f"{registry}: {len(rows)} names, {count} versions: all as they were registered")
+
+
+@app.command()
+def repair(
+    name: NameArgument,
+    registry: RegistryOption = REGISTRY,
+    json: JsonFlag = False,
+) -> None:
+    """Rebuild a damaged log from its intact lines and the version folders.
+
+    Copies of the old files stay beside it, in a folder damaged-TIME. A sound log is not changed.
+    """
+    from hil.models import LOG_FILE, Registry
+
+    home = Registry(registry)
+    done = home.repair(name)
+    now = home.aliases(name)
+    if json:
+        print_json({"name": name, "repair": done and done.to_dict(), **now.to_dict()})
+        return
+    champion = f"champion {_label(now.champion)}" if now.champion else "no champion"
+    if done is None:
+        typer.echo(f"{name}: the log is sound, nothing to repair; {champion}")
+        return
+    entered = ", ".join(f"v{number}" for number in done.registered) or "none"
+    say(f"{name}: {done.problem}")
+    say(f"  intact lines: {done.lines}; versions added from folders: {entered}")
+    if done.lines_set_aside:
+        old = done.aside / LOG_FILE
+        say(f"  lines set aside: {done.lines_set_aside}, not in the new log, only in {old}")
+    if done.lost:
+        lost = ", ".join(f"v{number}" for number in done.lost)
+        say(f"  versions lost, without a role from here on: {lost}")
+    say(f"  {champion} (from {done.source}); challenger {_label(now.challenger) or 'none'}")
+    say(f"  copies of the old files: {done.aside}")
+    if not now.champion:
+        why = "there is no champion" if done.lost else "no file names a champion"
+        say(f"  {why}: the next promotion is the first, without a comparison")
+        if now.before:
+            back = f"hil models rollback {name} --registry {shell_word(registry)}"
+            say(f"  or make v{now.before[-1]} champion again: {back}")
+
+
+def _roles(home: "Registry", name: str) -> "tuple[Aliases, RegistryError | None]":
+    """Return the roles and the problem of the log; with a problem the roles are unknown."""
+    from hil.models import Aliases
+
+    problem = home.problem(name)
+    return (Aliases() if problem else home.aliases(name)), problem
+
+
+def _warn(problem: RegistryError | None) -> None:
+    if problem:
+        typer.echo(f"warning: {problem.message}\n  next: {problem.hint}", err=True)
+
+
+def _label(number: int | None) -> str:
+    return f"v{number}" if number else ""
+
+
+def _run(facts: Any) -> str:
+    run = facts.get("run") or {}
+    return Path(str(run.get("folder", ""))).name
+
+
+def _print_comparison(comparison: dict[str, Any], champion: str, challenger: str) -> None:
+    rows = [(champion, comparison["champion_rmse"]), (challenger, comparison["challenger_rmse"])]
+    print_errors(f"RMSE [{comparison['unit']}]", rows, mean=False)
+    counts = f"{comparison['blocks']} blocks of time, {comparison['samples']} samples"
+    typer.echo(f"{comparison['words']}; {counts}")

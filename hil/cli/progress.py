@@ -1,23 +1,24 @@
-"""How far something long is: one line that moves on a terminal, lines now and then in a pipe.
+"""Progress on a terminal or in a pipe: one line that moves on a terminal, lines now and then else.
 
 `ProgressLines` shows a run with everything in it. The displays of its parts stand alone where a
 verb does only that: `ExcitationLine`, `TrainingLine`, `StudyLine`. `WatchLines` shows the run of
-another process.
+another process. All of them write to a `MovingLine`.
 
-What is news stays on the screen as a line of its own: a stage, a pause and its reason, going on,
-what the operator is asked, why the run stops. In every moving line what matters most comes first,
-since a narrow terminal cuts the end.
+News stays on the screen as a line of its own: a stage, a pause and its reason, going on, a question
+to the operator, why the run stops. In every moving line what matters most comes first, since a
+narrow terminal cuts the end.
 """
 
 from __future__ import annotations
 
 import math
+import shutil
 import sys
 import time
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self, TextIO
 
-from hil.cli.output import MovingLine, duration, fit_ended, fit_words
+from hil.cli.output import fold, width_of
 from hil.core import Throttle, plain
 from hil.engine import (
     ENDING,
@@ -32,22 +33,78 @@ from hil.engine import (
     step_words,
     words_of,
 )
+from hil.report import duration
 
 if TYPE_CHECKING:
     from hil.excitation import Advance
     from hil.networks import Told
     from hil.studies import Ended
 
+
+class MovingLine:
+    """A line of a terminal that is replaced in place; lines that stay are written above it.
+
+    The moving line never wraps: it is cut to the width. As a context it is removed at the end,
+    however that comes. In a pipe only lines that stay are written.
+
+    Args:
+        stream: By default standard error.
+        moves: Whether the stream is a terminal; by default it is asked.
+    """
+
+    def __init__(self, stream: TextIO | None = None, *, moves: bool | None = None) -> None:
+        self._own_stream = stream
+        self.moves = width_of(self._stream) is not None if moves is None else moves
+        self._open = False
+
+    @property
+    def _stream(self) -> TextIO:
+        return self._own_stream or sys.stderr
+
+    def show(self, text: str) -> None:
+        """Replace the text of the line; nothing in a pipe."""
+        if not self.moves:
+            return
+        room = self._columns() - 1
+        self._write(text if len(text) <= room else f"{text[: room - 1]}…")
+        self._open = True
+
+    def say(self, text: str) -> None:
+        """Write a line that stays, wrapped between words on a terminal."""
+        self._write((fold(text, self._columns()) if self.moves else text) + "\n")
+        self._open = False
+
+    def end(self, *, keep: bool = False) -> None:
+        """Remove the line, or keep it and begin another below it."""
+        if self._open:
+            self._stream.write("\n" if keep else "\r\x1b[K")
+            self._stream.flush()
+        self._open = False
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *ending: object) -> None:
+        self.end()
+
+    def _write(self, text: str) -> None:
+        start = "\r\x1b[K" if self._open else ""
+        self._stream.write(start + text)
+        self._stream.flush()
+
+    def _columns(self) -> int:
+        return width_of(self._stream) or max(20, shutil.get_terminal_size().columns)
+
+
 PIPED_EVERY_S = 10.0
 TERMINAL_EVERY_S = 0.1
-FASTER_THAN_REAL = 1.5
 
 ALIVE_EVERY_S = 120.0
 """In a pipe, a line that says the same again only shows that work goes on [s]."""
 
 
 class ProgressLines:
-    """An observer of the engine."""
+    """An observer of the engine that prints the progress of a run."""
 
     def __init__(self) -> None:
         self._line = MovingLine()
@@ -60,7 +117,7 @@ class ProgressLines:
         self._training: TrainingLine | None = None
 
     def notify(self, event: Event) -> None:
-        """Print the event if it is news, and where the run stands if it is time to."""
+        """Print the event if it is news, and the progress of the run if it is time to."""
         self._standing.take(event)
         kind = event.get("kind")
         if kind == "study" and event.get("study"):
@@ -76,7 +133,7 @@ class ProgressLines:
         elif kind == "training":
             from hil.networks import Told
 
-            self._training = self._training or TrainingLine(fit_words(*_which(event)), self._line)
+            self._training = self._training or TrainingLine(_fit_words(event), self._line)
             self._training(Told(**event["epoch"]))
         else:
             self._of_the_run(event)
@@ -86,10 +143,11 @@ class ProgressLines:
         if kind == "study":  # the last one is over
             self._line.end()
         elif kind == "fit_note":
-            self._line.say(f"{fit_words(*_which(event))}: {event['text']}")
+            self._line.say(f"{_fit_words(event)}: {event['text']}")
         elif kind == "fitted":
             self._training = None
-            self._line.say(fit_ended(*_which(event), event["seconds"], failed=event["failed"]))
+            ended = _ended_words(_fit_words(event), event["seconds"], failed=event["failed"])
+            self._line.say(ended)
         elif kind == "stage":
             self._line.say(f"{self._standing.stage} …")
         elif kind == "plan":
@@ -116,7 +174,7 @@ class ProgressLines:
             self._line.say(f"running again: {run.reason}" if run.reason else "running again")
 
     def _preflight(self, event: Event) -> None:
-        """What was waived, and what the robot has found out about itself, each on a line."""
+        """Print the waived checks, and the robot's own, each on a line."""
         checks = event.get("checks", [])
         self._line.say(f"preflight: {sum(bool(each['passed']) for each in checks)} checks passed")
         for each in checks:
@@ -125,7 +183,7 @@ class ProgressLines:
                 self._line.say(f"  {each['name']}{waived}: {each['message']}")
 
     def _announce(self) -> None:
-        """Whoever asks for a pause hears at once that it was heard: a trajectory may take long."""
+        """Confirm a request for a pause at once: the next checkpoint may be long off."""
         asked = self._standing.prompt
         if asked and self._line.moves:
             return  # whoever asks says so, and asks again
@@ -151,8 +209,13 @@ class ProgressLines:
         (self._line.show if moves else self._line.say)(_progress(run))
 
 
-def _which(event: Event) -> tuple[int, int, str]:
-    return event["number"], event["total"], event["estimator"]
+def _fit_words(event: Event) -> str:
+    return f"fit {event['number']} of {event['total']}: {event['estimator']}"
+
+
+def _ended_words(fit: str, seconds: float, *, failed: bool = False) -> str:
+    """Return the line that a finished fit leaves, the same for those of runs and of studies."""
+    return f"{fit}{' failed' if failed else ''} ({duration(seconds)})"
 
 
 def _progress(run: Standing) -> str:
@@ -177,13 +240,16 @@ def _done(run: Standing) -> str:
     return "  ".join(parts)
 
 
+FASTER_THAN_REAL = 1.5
+
+
 def _speed(run: Standing) -> str:
-    """How much faster than real time, once that can be said."""
+    """Return how much faster than real time the run is, once that is known."""
     return f"{run.pace:.0f}× real time" if run.pace > FASTER_THAN_REAL else ""
 
 
-class _Part:
-    """A display of one thing; as a context it is taken away at the end, however that comes."""
+class _Display:
+    """A display of a part of a run or of that part alone; a context at whose end it is removed."""
 
     def __init__(self, line: MovingLine | None = None) -> None:
         self._line = line or MovingLine()
@@ -195,8 +261,8 @@ class _Part:
         self._line.end()
 
 
-class ExcitationLine(_Part):
-    """How far the optimisation of trajectories is; in a pipe nothing but notes."""
+class ExcitationLine(_Display):
+    """Progress of the optimisation of trajectories; in a pipe nothing but notes."""
 
     EVERY_S = 0.2
 
@@ -222,8 +288,8 @@ class ExcitationLine(_Part):
         return "  ".join(parts)
 
 
-class TrainingLine(_Part):
-    """How far the training of a network is, with its curve; in a pipe a sign of life.
+class TrainingLine(_Display):
+    """Progress of the training of a network, with its curve; in a pipe a sign of life.
 
     Called with every epoch; a fit that trains several networks shows one after the other.
 
@@ -243,7 +309,7 @@ class TrainingLine(_Part):
         self._often = Throttle(self.EVERY_S if moves else ALIVE_EVERY_S, at_once=moves)
         self._validation: list[float] = []
         self._since = (time.monotonic(), 0)
-        """When the first epoch was told that this process trained, and its number."""
+        """Time and number of the first epoch that this process has trained."""
 
     def began(self, what: str) -> None:
         """Show it at once, in a pipe too: without it there would be nothing for minutes."""
@@ -284,11 +350,11 @@ class TrainingLine(_Part):
         return (time.monotonic() - begin) / (told.epoch - first) * (told.epochs - told.epoch)
 
 
-class StudyLine(_Part):
-    """How far studies are; each of their fits leaves a line."""
+class StudyLine(_Display):
+    """Progress of studies; each of their fits leaves a line."""
 
     NEWS_EVERY_S = 1.0
-    """In a pipe, what is done next is told at once, but not more often than this [s]."""
+    """In a pipe, the next step is printed at once, but not more often than this [s]."""
 
     def __init__(self, line: MovingLine | None = None) -> None:
         super().__init__(line)
@@ -317,7 +383,8 @@ class StudyLine(_Part):
     def ended(self, study: str, ended: Ended) -> None:
         """Leave a line for a fit that is done."""
         name = " ".join(filter(None, (ended.name, ended.failed)))
-        self._line.say(fit_ended(ended.number, ended.total, name, ended.seconds))
+        fit = f"fit {ended.number} of {ended.total}: {name}"
+        self._line.say(_ended_words(fit, ended.seconds))
         if self._text:  # the next news may take minutes
             self._line.show(self._text)
 
@@ -326,7 +393,7 @@ Item = Mapping[str, Any]
 
 
 class WatchLines:
-    """Prints the items of `hil.workflow.follow`: a run of another process.
+    """Prints the items of `hil.workflow.follow`, a run of another process.
 
     Args:
         run: What to call the run in commands.
@@ -372,7 +439,7 @@ class WatchLines:
 
 
 def live_line(view: Item) -> str:
-    """Where the run is, on one line."""
+    """Return where the run is, on one line."""
     from hil.workflow import standing_in
 
     run = standing_in(view)
@@ -391,7 +458,7 @@ def live_line(view: Item) -> str:
 
 
 def end_line(end: Item) -> str:
-    """How the run ended, and what to do next."""
+    """Return how the run ended, and what to do next."""
     text = f"{end['run']}: {end['status']}"
     if end["reason"]:
         text += f": {end['reason']}"

@@ -5,15 +5,13 @@ from typing import Annotated
 
 import typer
 
-from hil.cli.output import JsonFlag, RunsOption, print_json
-from hil.core import exit_code_of
+from hil.cli.options import JsonFlag, RunsOption
+from hil.cli.output import fail, print_json
+
+app = typer.Typer()
 
 
-def register(app: typer.Typer) -> None:
-    """Add this group's verb."""
-    app.command()(recover)
-
-
+@app.command()
 def recover(
     source: Annotated[
         str,
@@ -38,13 +36,13 @@ def recover(
     json: JsonFlag = False,
 ) -> None:
     """Rebuild torn or damaged recordings from all that is whole in them, and say what is lost."""
-    from hil.recording import recover as recover_all
+    from hil.recording import recover as rebuild
     from hil.runs import find_run
 
     if out is not None and discard:
         raise typer.BadParameter("-o leaves the torn file where it is: without --discard")
     path = Path(source)
-    result = recover_all(path if path.is_file() else find_run(source, runs), out, discard=discard)
+    result = rebuild(path if path.is_file() else find_run(source, runs), out, discard=discard)
     if json:
         print_json(result.to_dict())
     else:
@@ -52,8 +50,5 @@ def recover(
             typer.echo("\n".join(file.to_lines()))
         if not (result.files or result.problems):
             typer.echo(f"{result.source} has no torn or damaged recording")
-    if (error := result.error) is not None:
-        if not json:
-            raise error
-        typer.echo(f"{type(error).__name__}: {error}", err=True)
-        raise typer.Exit(exit_code_of(error))
+    if result.error is not None:
+        fail(result.error, json)

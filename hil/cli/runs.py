@@ -1,55 +1,20 @@
-"""`hil runs`, `hil show`: what came of runs."""
+"""`hil runs` and `hil show`: which runs there are, and what one of them has recorded."""
 
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
 import typer
 
-from hil.cli.output import (
-    JsonFlag,
-    RunsOption,
-    duration,
-    out_width,
-    print_json,
-    print_table,
-    say,
-)
-from hil.core import DataError, HilError, exit_code_of, shell_word
+from hil.cli.options import JsonFlag, RunArgument, RunsOption
+from hil.cli.output import fail, print_json, print_run, print_table, say
+from hil.core import DataError, shell_word
+from hil.report import duration
 
-RunArgument = Annotated[
-    str,
-    typer.Argument(
-        help="Run directory, or number or name of a run, or `last`.", show_default=False
-    ),
-]
-
-_Table: TypeAlias = tuple[tuple[str, ...], list[tuple[str, ...]]]
+app = typer.Typer()
 
 
-def register(app: typer.Typer) -> None:
-    """Add this group's verbs."""
-    app.command()(runs)
-    app.command()(show)
-
-
-def fail(error: HilError, json: bool) -> None:
-    """The JSON document is out already: only the exit code and a line on stderr remain."""
-    if not json:
-        raise error
-    typer.echo(f"{type(error).__name__}: {error}", err=True)
-    raise typer.Exit(exit_code_of(error))
-
-
-def tell_run(run: Path) -> None:
-    """The summary of a run, as wide as the terminal; in a pipe as everywhere."""
-    from hil.report import WIDTH, summary_lines
-
-    for line in summary_lines(run, max(40, min(WIDTH, out_width() or WIDTH))):
-        typer.echo(line)
-
-
+@app.command()
 def runs(
     query: Annotated[
         list[str] | None,
@@ -67,25 +32,24 @@ def runs(
     json: JsonFlag = False,
 ) -> None:
     """List run directories, newest last; interrupted and damaged ones too."""
-    if query or rebuild:
-        from hil.runs import find_runs
+    from hil.runs import find_runs, list_runs
 
-        entries, table = find_runs(*(query or ()), runs=runs, rebuild=rebuild), _found
-    else:
-        from hil.runs import list_runs
-
-        entries, table = list_runs(runs), partial(_listed, runs=runs)
+    searched = query or rebuild
+    entries = find_runs(*(query or ()), runs=runs, rebuild=rebuild) if searched else list_runs(runs)
     if json:
         print_json(entries)
     elif entries:
-        print_table(*table(entries))
+        print_table(*(_search_results(entries) if searched else _list(entries, runs)))
     elif query:
         say(f"no run under {runs} meets: {' '.join(query)}")
     else:
         say(f"no runs under {runs}; make one with: hil run SPEC")
 
 
-def _listed(entries: list[dict[str, Any]], runs: Path) -> _Table:
+_Table: TypeAlias = tuple[tuple[str, ...], list[tuple[str, ...]]]
+
+
+def _list(entries: list[dict[str, Any]], runs: Path) -> _Table:
     columns: dict[str, list[str]] = {
         "run": [e["run"] for e in entries],
         "status": [e["status"] for e in entries],
@@ -94,12 +58,9 @@ def _listed(entries: list[dict[str, Any]], runs: Path) -> _Table:
         "studies": [", ".join(e["studies"]) for e in entries],
         "next": _short([e["next"] for e in entries], [Path(e["run"]) for e in entries], runs),
     }
-    shown = [name for name, cells in columns.items() if name not in _OPTIONAL or any(cells)]
+    optional = ("studies", "next")
+    shown = [name for name, cells in columns.items() if name not in optional or any(cells)]
     return tuple(shown), list(zip(*(columns[name] for name in shown), strict=True))
-
-
-_OPTIONAL = ("studies", "next")
-"""Columns that are shown only if one of the runs has a value."""
 
 
 _ABOUT_A_RUN = ("hil resume ", "hil report ")
@@ -119,7 +80,7 @@ def _short(commands: Sequence[str], paths: Sequence[Path], runs: Path) -> list[s
     ]
 
 
-def _found(entries: list[dict[str, Any]]) -> _Table:
+def _search_results(entries: list[dict[str, Any]]) -> _Table:
     header = ("run", "status", "duration", "verdict", "serial", "RMSE on held-out data")
     rows: list[tuple[str, ...]] = [
         (
@@ -128,18 +89,19 @@ def _found(entries: list[dict[str, Any]]) -> _Table:
             duration(e["duration_s"] or 0.0),
             e["verdict"],
             e["serial"],
-            ", ".join(_fit(fit) for fit in e["fits"]),
+            ", ".join(_error(fit) for fit in e["fits"]),
         )
         for e in entries
     ]
     return header, rows
 
 
-def _fit(fit: dict[str, Any]) -> str:
+def _error(fit: dict[str, Any]) -> str:
     error = "not judged" if fit["rmse"] is None else f"{fit['rmse']:.4f} {fit['unit']}"
     return f"{fit['estimator']} {error}"
 
 
+@app.command()
 def show(
     run: RunArgument,
     runs: RunsOption = Path("runs"),
@@ -149,16 +111,15 @@ def show(
     json: JsonFlag = False,
 ) -> None:
     """Show one run: what it was, how it ended, what its models are worth."""
-    from hil import api
     from hil.recording import RunDirectory
-    from hil.runs import find_run
+    from hil.runs import describe_run, find_run
 
     path = find_run(run, runs)
     problems = RunDirectory.open(path).verify() if verify else []
     if json:
-        print_json(api.describe_run(path) | ({"problems": problems} if verify else {}))
+        print_json(describe_run(path) | ({"problems": problems} if verify else {}))
     else:
-        tell_run(path)
+        print_run(path)
     if problems:
         hint = "take the run from a copy that is whole, or use what is left of it with care"
         fail(DataError(f"{path}: {'; '.join(problems)}", hint=hint), json)

@@ -1,57 +1,56 @@
-"""`hil schedule`: probe a robot, and identify it again, when it is due."""
+"""`hil schedule`: probe a robot, and identify it again, when it is due.
 
+`run` works in the foreground until it is ended; everything it does is in the ledger of the
+schedule's state folder, which `show`, `hold` and `release` read and write. Times are printed in the
+schedule's own time zone.
+"""
+
+from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hil.cli.attended import OperatorOption
-from hil.cli.output import (
+from hil.cli.options import (
+    REGISTRY,
     JsonFlag,
+    OperatorOption,
+    RegistryOption,
     RunsOption,
+    ScheduleArgument,
     StationOption,
-    duration,
-    print_json,
-    say,
+    parse_duration,
 )
-from hil.cli.registry import HERE, RegistryOption
-from hil.cli.schedule_words import SHOWN, held_words, next_words, print_ledger, print_plan, words
-from hil.cli.simulating import simulate
+from hil.cli.output import fail, print_json, print_table, say
 from hil.core import DataError, HilError, SpecError
+from hil.report import duration
 
 if TYPE_CHECKING:
     from zoneinfo import ZoneInfo
 
-    from hil.maintenance import Ledger
+    from hil.maintenance import Expected, Ledger, Line
     from hil.spec import ScheduleSpec
 
-FileArgument = Annotated[Path, typer.Argument(help="Schedule (YAML).", show_default=False)]
 StateOption = Annotated[
     Path | None,
     typer.Option("--state", help="Folder of its ledger; by default schedules/NAME."),
 ]
 ReasonOption = Annotated[str, typer.Option("--reason", help="For the ledger.", show_default=False)]
-STATES = Path("schedules")
 
 app = typer.Typer(
+    name="schedule",
     no_args_is_help=True,
     help="Probe a robot, and identify it again when it has changed: whenever it is due.",
 )
 
 
-def register(parent: typer.Typer) -> None:
-    """Add this group's verbs."""
-    app.command()(simulate)
-    parent.add_typer(app, name="schedule")
-
-
 @app.command()
 def run(
-    file: FileArgument,
+    file: ScheduleArgument,
     once: Annotated[bool, typer.Option("--once", help="Do what is due now, and end.")] = False,
     state: StateOption = None,
-    registry: RegistryOption = HERE,
+    registry: RegistryOption = REGISTRY,
     runs: RunsOption = Path("runs"),
     station: StationOption = None,
 ) -> None:
@@ -75,33 +74,43 @@ def run(
     bound = bind_file(file, station)
     for experiment in bound.experiments:
         require_extras(experiment.spec)
-    spec, took = bound.spec, Motions()
-    if spec.blackout:  # nothing else asks, and planning takes seconds
-        took = motions(spec, bound.probe, bound.campaign)
-        require_room(spec, took, datetime.now(UTC))
-    confirm = require_armed(bound.moves(file), _state(spec, state))
+    spec, times = bound.spec, Motions()
+    if spec.blackout:  # nothing else needs the times, and planning takes seconds
+        times = motions(spec, bound.probe, bound.campaign)
+        require_room(spec, times, datetime.now(UTC))
+    folder, zone = _state(spec, state), _zone(spec)
+
+    def tell_stage(text: str) -> None:
+        say(f"  {text}")
+
     work = reidentification(
-        spec, registry=Registry(registry), runs=runs, station=station, confirm=confirm,
-        tell=_tell_stage,
-    )  # fmt: skip
-    zone, wait_s = _zone(spec), spec.wait_for_robot.total_seconds()
-    with open_ledger(_state(spec, state), spec.name) as ledger, WallClock() as clock:
+        spec,
+        registry=Registry(registry),
+        runs=runs,
+        station=station,
+        confirm=require_armed(bound.moves(file), folder),
+        tell=tell_stage,
+    )
+    with open_ledger(folder, spec.name) as ledger, WallClock() as clock:
         scheduler = Scheduler(
-            spec, ledger, work, clock,
-            lasting=took.longest,
-            ready=RobotReady(bound.campaign, wait_s, _tell_stage),
+            spec,
+            ledger,
+            work,
+            clock,
+            lasting=times.longest,
+            ready=RobotReady(bound.campaign, spec.wait_for_robot.total_seconds(), tell_stage),
             guard=interrupt_at,
-            tell=lambda line: say(words(line, zone)),
+            tell=lambda line: say(_line_words(line, zone)),
             notify=Command(spec.notify, spec.name),
-        )  # fmt: skip
+        )
         if once:
             scheduler.run_once()
         else:
             scheduler.run_due()
         if held := ledger.standing.held:
-            say(held_words(held, file, zone))
+            say(_held_words(held, file, zone))
         elif not once:
-            say(next_words(scheduler.next_moment(), zone))
+            say(_next_words(scheduler.next_moment(), zone))
         if not once:
             scheduler.run()
     if once and scheduler.failure is not None:
@@ -110,7 +119,7 @@ def run(
 
 @app.command()
 def arm(
-    file: FileArgument,
+    file: ScheduleArgument,
     state: StateOption = None,
     station: StationOption = None,
     operator: OperatorOption = "",
@@ -125,20 +134,28 @@ def arm(
     from hil.workflow import arm as arm_moves
 
     bound = bind_file(file, station)
-    folder = _state(bound.spec, state)
-    moves = bound.moves(file)
-    done = arm_moves(moves, folder, station=station, who=operator, yes=yes)
+    name, folder = bound.spec.name, _state(bound.spec, state)
+    armed = arm_moves(bound.moves(file), folder, station=station, who=operator, yes=yes)
     if json:
-        print_json({"schedule": bound.spec.name, "armed": done})
-    elif done is None:
-        say(f"{bound.spec.name} moves no real robot and needs no arming")
+        print_json({"schedule": name, "armed": armed})
+    elif armed is None:
+        say(f"{name} moves no real robot and needs no arming")
     else:
-        say(f"{bound.spec.name}: {_armed_words(done)}")
+        say(f"{name}: {_armed_words(armed)}")
+
+
+def _armed_words(armed: Mapping[str, Any]) -> str:
+    robots = ", ".join(f"{name} at {address}" for name, address in armed["robots"].items())
+    return f"armed for {robots} by {armed['by']} ({armed['how']}, {armed['at'][:16]} UTC)"
+
+
+MOST_ALIKE = 40
+"""Rows of a plan that are alike and shown: probes every minute would fill the terminal."""
 
 
 @app.command()
 def plan(
-    file: FileArgument,
+    file: ScheduleArgument,
     weeks: Annotated[
         float, typer.Option("--weeks", min=0, max=520, help="How far to look ahead.")
     ] = 4.0,
@@ -163,127 +180,109 @@ def plan(
     end = _end(until, zone) if until else now + timedelta(weeks=weeks)
     if end <= now:
         raise SpecError(f"--until {until} is past", hint="give a later one")
-    took = motions(spec, bound.probe, bound.campaign)
-    require_room(spec, took, now)
+    times = motions(spec, bound.probe, bound.campaign)
+    require_room(spec, times, now)
     ledger = Ledger.read(_state(spec, state))
     ledger.require_of(spec.name)
-    expected = forecast(spec, ledger, took, now, end, alike=None if json else SHOWN)
+    held = ledger.standing.held
+    expected = forecast(spec, ledger, times, now, end, alike=None if json else MOST_ALIKE)
     if json:
-        told: dict[str, object] = {
-            "schedule": spec.name, "from": _iso(now, zone), "until": _iso(end, zone),
-        }  # fmt: skip
-        longest = took.longest("probe" if spec.probe else "campaign").total_seconds()
-        told["held"] = dict(ledger.standing.held) if ledger.standing.held else None
-        seconds = {"probe_s": took.probe.total_seconds(),
-                   "campaign_s": took.campaign.total_seconds(), "at_most_s": longest}  # fmt: skip
-        print_json({**told, **seconds, "expected": [one.to_dict(zone) for one in expected]})
+        longest = times.longest("probe" if spec.probe else "campaign")
+        document = {
+            "schedule": spec.name,
+            "from": _iso(now, zone),
+            "until": _iso(end, zone),
+            "held": dict(held) if held else None,
+            "probe_s": times.probe.total_seconds(),
+            "campaign_s": times.campaign.total_seconds(),
+            "at_most_s": longest.total_seconds(),
+            "expected": [one.to_dict(zone) for one in expected],
+        }
+        print_json(document)
         return
-    if held := ledger.standing.held:
-        say(held_words(held, file, zone))
-    print_plan(spec, expected, zone)
-    probe = f"probe {duration(took.probe.total_seconds())}, " if spec.probe else ""
-    say(f"of motion: {probe}campaign {duration(took.campaign.total_seconds())}")
+    if held:
+        say(_held_words(held, file, zone))
+    _print_expected(expected, zone)
+    probe = f"probe {duration(times.probe.total_seconds())}, " if spec.probe else ""
+    say(f"of motion: {probe}campaign {duration(times.campaign.total_seconds())}")
+
+
+def _end(text: str, zone: "ZoneInfo") -> datetime:
+    """Return the end of a day, or a time of day there."""
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError:
+        raise SpecError(
+            f"--until {text!r} is no date", hint="such as 2026-11-28 or 2026-11-28T03:00"
+        ) from None
+    if len(text) <= len("2026-11-28"):
+        moment += timedelta(days=1)
+    return moment if moment.tzinfo else moment.replace(tzinfo=zone)
+
+
+def _print_expected(expected: "Iterable[Expected]", zone: "ZoneInfo") -> None:
+    """Print what would happen as a table; of each kind the first ones, and how many more."""
+    rows = []
+    alike: dict[tuple[str, str], list[Expected]] = {}
+    for one in expected:
+        kind = alike.setdefault((one.job, one.what), [])
+        kind.append(one)
+        if len(kind) > MOST_ALIKE:
+            continue
+        times = f" ({one.count} times)" if one.count > 1 else ""
+        begins = "not done" if one.begins is None else f"{one.begins.astimezone(zone):%a %H:%M:%S}"
+        motion = duration(one.motion.total_seconds()) if one.motion else ""
+        why = "gone on with" + (f", {one.why}" if one.why else "") if one.again else one.why
+        rows.append((_minute(one.due, zone), one.job + times, begins, motion, why))
+    if not rows:
+        say("nothing is due until then")
+        return
+    print_table((f"due ({zone})", "what", "begins", "motion", "why not then"), rows)
+    for (job, what), kind in alike.items():
+        if rest := kind[MOST_ALIKE:]:
+            count = f"{sum(one.count for one in rest)} more: {job}"
+            missed = ", not done" if what == "missed" else ""
+            say(f"… and {count}{missed}, until {_minute(rest[-1].due, zone)}")
 
 
 @app.command()
-def show(file: FileArgument, state: StateOption = None, json: JsonFlag = False) -> None:
+def show(file: ScheduleArgument, state: StateOption = None, json: JsonFlag = False) -> None:
     """What was done, and what was not and why; what is due next."""
     from hil.core import LOCK, holder_of
     from hil.maintenance import clock_problem
     from hil.workflow import read_armed
 
-    spec, folder, ledger = _led(file, state)
+    spec, folder, ledger = _read(file, state)
     zone, now, standing = _zone(spec), datetime.now(UTC), ledger.standing
-    holder, coming, armed = holder_of(folder / LOCK), _coming(spec, ledger, now), read_armed(folder)
+    holder, armed, due = holder_of(folder / LOCK), read_armed(folder), _next_due(spec, ledger, now)
     if json:
-        print_json({
-            "schedule": spec.name, "state": str(folder), "run_by": holder and holder.told(zone),
+        document = {
+            "schedule": spec.name,
+            "state": str(folder),
+            "run_by": holder and holder.told(zone),
             "held": dict(standing.held) if standing.held else None,
             "armed": armed and {key: armed[key] for key in ("how", "by", "at", "robots")},
             "open": standing.open.id if standing.open else None,
-            "next": coming and _iso(coming, zone), "lines": [dict(line) for line in ledger.lines],
-        })  # fmt: skip
+            "next": due and _iso(due, zone),
+            "lines": [dict(line) for line in ledger.lines],
+        }
+        print_json(document)
         return
     if armed is not None or spec.robots:
-        say(_armed_now(armed, file))
+        say(_still_armed(armed, file))
     if not ledger.lines:
         say(f"{spec.name} has never been started: hil schedule run {file}")
         return
-    print_ledger(ledger.lines, zone)
-    if standing.held or (wrong := clock_problem(standing, now)):
-        say(held_words(standing.held, file, zone) if standing.held else wrong)
+    rows = [_cells(line, zone) for line in ledger.lines]
+    print_table((f"when ({zone})", "event", "occasion", "what"), rows)
+    if standing.held:
+        say(_held_words(standing.held, file, zone))
     else:
-        say(next_words(coming, zone))
+        say(clock_problem(standing, now) or _next_words(due, zone))
     say(f"run by {holder.told(zone)}" if holder else f"nobody runs it: hil schedule run {file}")
 
 
-@app.command()
-def hold(file: FileArgument, reason: ReasonOption, state: StateOption = None) -> None:
-    """Let nothing begin until it is released; what is under way comes to its end."""
-    from hil.maintenance import hold as hold_ledger
-
-    spec, _, ledger = _begun(file, state)
-    say(words(hold_ledger(ledger, datetime.now(UTC), reason), _zone(spec)))
-
-
-@app.command()
-def release(file: FileArgument, reason: ReasonOption, state: StateOption = None) -> None:
-    """Let a schedule go on that is held; somebody has looked at the robot."""
-    from hil.maintenance import choose
-    from hil.maintenance import release as release_ledger
-
-    spec, _, ledger = _begun(file, state)
-    zone, now = _zone(spec), datetime.now(UTC)
-    say(words(release_ledger(ledger, now, reason), zone))
-    if (waits := choose(spec, ledger.standing, now).occasion) is not None:
-        say(f"{waits.id} has waited: whoever runs the schedule begins it within a minute")
-    else:
-        say(next_words(_coming(spec, ledger, now), zone))
-
-
-@app.command()
-def systemd(
-    file: FileArgument,
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the units.")] = Path(),
-    user: Annotated[bool, typer.Option("--user", help="For systemctl --user.")] = False,
-    timer: Annotated[
-        bool, typer.Option("--timer", help="A timer that calls, not a service that stays.")
-    ] = False,
-    state: StateOption = None,
-    registry: RegistryOption = HERE,
-    runs: RunsOption = Path("runs"),
-    station: StationOption = None,
-    json: JsonFlag = False,
-) -> None:
-    """Write units that run it, with the paths of these options; installs nothing."""
-    from hil.maintenance import bind_file, next_words, units_of, write_units
-
-    spec = bind_file(file, station).spec
-    arguments = [str(file.resolve())]
-    given = {"--state": _state(spec, state), "--registry": registry, "--runs": runs}
-    for option, path in (given | ({"--station": station} if station else {})).items():
-        arguments += [option, str(path.resolve())]
-    units = units_of(spec.name, tuple(arguments), Path.cwd(), timer=timer, user=user)
-    files = write_units(units, out)
-    commands = next_words(units, out, user=user)
-    if json:
-        print_json(
-            {"schedule": spec.name, "files": [str(path) for path in files], "next": commands}
-        )
-        return
-    for path in files:
-        typer.echo(path)
-    typer.echo("to install them:")
-    for command in commands:
-        typer.echo(f"  {command}")
-
-
-def _armed_words(armed: dict[str, Any]) -> str:
-    robots = ", ".join(f"{name} at {address}" for name, address in armed["robots"].items())
-    return f"armed for {robots} by {armed['by']} ({armed['how']}, {armed['at'][:16]} UTC)"
-
-
-def _armed_now(armed: dict[str, Any] | None, file: Path) -> str:
+def _still_armed(armed: dict[str, Any] | None, file: Path) -> str:
     """Return whether a schedule is armed, and what has changed since."""
     from hil.maintenance import bind_file
     from hil.workflow import changed_since
@@ -300,18 +299,134 @@ def _armed_now(armed: dict[str, Any] | None, file: Path) -> str:
     return f"{_armed_words(armed)}; changed since: {', '.join(changed)}; arm it again"
 
 
-def _zone(spec: "ScheduleSpec") -> "ZoneInfo":
-    from zoneinfo import ZoneInfo
+@app.command()
+def hold(file: ScheduleArgument, reason: ReasonOption, state: StateOption = None) -> None:
+    """Let nothing begin until it is released; what is under way comes to its end."""
+    from hil.maintenance import hold as hold_ledger
 
-    return ZoneInfo(spec.timezone)
+    spec, ledger = _read_started(file, state)
+    say(_line_words(hold_ledger(ledger, datetime.now(UTC), reason), _zone(spec)))
 
 
-def _state(spec: "ScheduleSpec", given: Path | None) -> Path:
-    return given or STATES / spec.name
+@app.command()
+def release(file: ScheduleArgument, reason: ReasonOption, state: StateOption = None) -> None:
+    """Let a schedule go on that is held; somebody has looked at the robot."""
+    from hil.maintenance import choose
+    from hil.maintenance import release as release_ledger
+
+    spec, ledger = _read_started(file, state)
+    zone, now = _zone(spec), datetime.now(UTC)
+    say(_line_words(release_ledger(ledger, now, reason), zone))
+    if (waits := choose(spec, ledger.standing, now).occasion) is not None:
+        say(f"{waits.id} has waited: the process that runs the schedule begins it within a minute")
+    else:
+        say(_next_words(_next_due(spec, ledger, now), zone))
 
 
-def _led(file: Path, state: Path | None) -> "tuple[ScheduleSpec, Path, Ledger]":
-    """The schedule, the folder of its state, and what became of everything."""
+@app.command()
+def systemd(
+    file: ScheduleArgument,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the units.")] = Path(),
+    user: Annotated[bool, typer.Option("--user", help="For systemctl --user.")] = False,
+    timer: Annotated[
+        bool, typer.Option("--timer", help="A timer that calls, not a service that stays.")
+    ] = False,
+    state: StateOption = None,
+    registry: RegistryOption = REGISTRY,
+    runs: RunsOption = Path("runs"),
+    station: StationOption = None,
+    json: JsonFlag = False,
+) -> None:
+    """Write units that run it, with the paths of these options; installs nothing."""
+    from hil.maintenance import bind_file, next_words, units_of, write_units
+
+    spec = bind_file(file, station).spec
+    paths = {"--state": _state(spec, state), "--registry": registry, "--runs": runs}
+    paths |= {"--station": station} if station else {}
+    arguments = [str(file.resolve())]
+    for option, path in paths.items():
+        arguments += [option, str(path.resolve())]
+    units = units_of(spec.name, tuple(arguments), Path.cwd(), timer=timer, user=user)
+    files = write_units(units, out)
+    commands = next_words(units, out, user=user)
+    if json:
+        names = [str(path) for path in files]
+        print_json({"schedule": spec.name, "files": names, "next": commands})
+        return
+    for path in files:
+        typer.echo(path)
+    typer.echo("to install them:")
+    for command in commands:
+        typer.echo(f"  {command}")
+
+
+@app.command()
+def simulate(
+    file: ScheduleArgument,
+    lasting: Annotated[
+        str, typer.Argument(metavar="DURATION", help="How long, such as 12w.", show_default=False)
+    ],
+    station: StationOption = None,
+    runs: RunsOption = Path("runs"),
+    json: JsonFlag = False,
+) -> None:
+    """Simulate weeks of a schedule at once on the embedded mock, with wear and changing rooms."""
+    from hil.core import new_folder, read_source
+    from hil.engine import ignore_from_now_on
+    from hil.maintenance import bind, require_mock
+    from hil.maintenance import simulate as live_through
+    from hil.recording import name_for_path
+    from hil.report import render_simulation
+    from hil.spec import load_schedule_spec
+    from hil.workflow import require_extras
+
+    source = read_source(file)
+    span = parse_duration("DURATION", lasting, "12w, 30min")
+    spec = load_schedule_spec(source)
+    bound = bind(spec, station, source)
+    require_mock(bound)
+    for experiment in bound.experiments:
+        require_extras(experiment.spec)
+    above = runs / datetime.now().astimezone().date().isoformat() / "simulations"
+    folder = new_folder(above, f"simulation-{name_for_path(spec.name)}")
+    result = live_through(spec, span, folder, station=station, tell=_tell_simulated)
+    page = render_simulation(folder)
+    ignore_from_now_on()
+    occasions = result["occasions"]
+    if json:
+        print_json(result | {"folder": str(folder), "report": str(page)})
+    else:
+        weeks = span >= timedelta(weeks=1)
+        columns = ("week" if weeks else "after", "room [°C]", "champion", "result")
+        print_table(columns, [_simulated_row(each, weeks=weeks) for each in occasions])
+        typer.echo(f"report: {page}")
+    if failed := [each for each in occasions if each["event"] == "failed"]:
+        message = f"{len(failed)} of {len(occasions)} occasions failed: {failed[0]['why']}"
+        fail(HilError(message, hint=f"see {folder}"), json)
+
+
+def _tell_simulated(line: Mapping[str, Any]) -> None:
+    if line["event"] in ("done", "failed", "missed", "deferred"):
+        text = line.get("why") or line["result"]["text"]
+        typer.echo(f"{line['at'][:16]} {line['occasion']}: {text}", err=True)
+
+
+def _simulated_row(occasion: Mapping[str, Any], *, weeks: bool) -> tuple[str, ...]:
+    result, week = occasion["result"] or {}, occasion["week"]
+    text = str(result.get("text") or f"{occasion['event']}: {occasion['why']}")
+    at = f"{week:g}" if weeks else f"{week * 7 * 24 * 60:.0f} min"
+    return at, f"{occasion['room_c']:g}", str(result.get("champion") or ""), text
+
+
+# The state of a schedule
+
+
+def _state(spec: "ScheduleSpec", folder: Path | None) -> Path:
+    return folder or Path("schedules") / spec.name
+
+
+def _read(file: Path, state: Path | None) -> "tuple[ScheduleSpec, Path, Ledger]":
+    """Return the schedule, the folder of its state, and its ledger."""
     from hil.maintenance import Ledger
     from hil.spec import load_schedule_spec
 
@@ -322,42 +437,70 @@ def _led(file: Path, state: Path | None) -> "tuple[ScheduleSpec, Path, Ledger]":
     return spec, folder, ledger
 
 
-def _begun(file: Path, state: Path | None) -> "tuple[ScheduleSpec, Path, Ledger]":
-    """The same of a schedule that has been started."""
-    spec, folder, ledger = _led(file, state)
+def _read_started(file: Path, state: Path | None) -> "tuple[ScheduleSpec, Ledger]":
+    """Return a schedule that has been started, and its ledger."""
+    spec, folder, ledger = _read(file, state)
     if not ledger.lines:
         raise DataError(
             f"{folder}: {spec.name} has never been started", hint="is it kept elsewhere? --state"
         )
-    return spec, folder, ledger
+    return spec, ledger
 
 
-def _coming(spec: "ScheduleSpec", ledger: "Ledger", now: datetime) -> datetime | None:
-    """When something is due next that is not settled."""
+def _next_due(spec: "ScheduleSpec", ledger: "Ledger", now: datetime) -> datetime | None:
+    """Return when something is due next that is not settled."""
     from hil.maintenance import occasions
 
     standing = ledger.standing
     after = max(now, standing.until or now)
-    coming = next(occasions(spec, standing.anchor or now, after), None)
-    return coming.due if coming else None
+    occasion = next(occasions(spec, standing.anchor or now, after), None)
+    return occasion.due if occasion else None
 
 
-def _end(text: str, zone: "ZoneInfo") -> datetime:
-    """The end of a day, or a time of day there."""
-    try:
-        moment = datetime.fromisoformat(text)
-    except ValueError:
-        raise SpecError(
-            f"--until {text!r} is no date", hint="such as 2026-11-28 or 2026-11-28T03:00"
-        ) from None
-    if len(text) <= len("2026-11-28"):
-        moment += timedelta(days=1)
-    return moment if moment.tzinfo else moment.replace(tzinfo=zone)
+# Times and lines of the ledger in words
 
 
-def _tell_stage(text: str) -> None:
-    say(f"  {text}")
+def _zone(spec: "ScheduleSpec") -> "ZoneInfo":
+    from zoneinfo import ZoneInfo
+
+    return ZoneInfo(spec.timezone)
 
 
 def _iso(moment: datetime, zone: "ZoneInfo") -> str:
     return moment.astimezone(zone).isoformat(timespec="seconds")
+
+
+def _minute(moment: datetime, zone: "ZoneInfo") -> str:
+    return f"{moment.astimezone(zone):%a %Y-%m-%d %H:%M}"
+
+
+def _next_words(moment: datetime | None, zone: "ZoneInfo") -> str:
+    return f"next: {_minute(moment, zone)} ({zone})" if moment else "nothing is due again"
+
+
+def _held_words(line: "Line", file: Path, zone: "ZoneInfo") -> str:
+    return (
+        f"held since {_cells(line, zone)[0]} ({zone}): {line['why']}\n"
+        f"  → when somebody has looked: hil schedule release {file} --reason TEXT"
+    )
+
+
+def _line_words(line: "Line", zone: "ZoneInfo") -> str:
+    return "  ".join(cell for cell in _cells(line, zone) if cell)
+
+
+def _cells(line: "Line", zone: "ZoneInfo") -> tuple[str, str, str, str]:
+    """Return a line of the ledger as time, event, occasion, and what was said about it."""
+    at = f"{datetime.fromisoformat(line['at']).astimezone(zone):%Y-%m-%d %H:%M:%S}"
+    count = int(line.get("count", 1))
+    more = f" and {count - 1} before it" if count > 1 else ""
+    occasion = f"{line.get('occasion', '')}{more}"
+    return at, str(line["event"]), occasion, _text(line)
+
+
+def _text(line: "Line") -> str:
+    result: dict[str, Any] = line.get("result") or {}
+    if result:
+        return f"{result.get('outcome', '')}: {result.get('text', '')}"
+    why = str(line.get("why", "")) or ("again" if line.get("again") else "")
+    return f"{line['by']}: {why}" if "by" in line else why

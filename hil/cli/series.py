@@ -1,4 +1,8 @@
-"""Verbs given a series of experiments: `hil run`, `hil validate`, `hil plan`, `hil resume`."""
+"""A series of experiments in `hil run` and `hil resume`.
+
+Each experiment of a series is an ordinary run; the real robots of all are confirmed at once, before
+the first. A series that ended early goes on with the run in which it did.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from hil.cli.output import duration, print_json, print_table, print_warnings, size
-from hil.cli.runs import fail, tell_run
-from hil.core import HilError
+from hil.cli.output import fail, print_json, print_run, print_table
+from hil.core import HilError, Rejected
 
 if TYPE_CHECKING:
     from hil.core import Source
@@ -24,60 +27,6 @@ Outcome = tuple[Document, HilError | None]
 Execute = Callable[["Experiment", Document], Outcome]
 Begin = Callable[["Experiment"], "RunReport"]
 Resume = Callable[[Path], "RunReport"]
-
-
-def validate_series(source: Source, station: Path | None, json: bool) -> None:
-    """Check a series with everything it names; all problems at once."""
-    from hil.workflow import Moves, check_driver, load_series, missing_extras
-
-    series = load_series(source, station)
-    for experiment in series.experiments:
-        check_driver(experiment)
-    Moves(series.source, series.spec.robots, _places(series.experiments)).real()
-    missing = dict.fromkeys(told for one in series.experiments for told in missing_extras(one.spec))
-    facts = [
-        {"spec": each.spec_source, "name": each.spec.name, "station": each.station_source}
-        for each in series.experiments
-    ]
-    if json:
-        told = {"series": source.name, "name": series.spec.name, "runs": facts, "valid": True}
-        print_json({**told, "warnings": list(missing)})
-        return
-    typer.echo(f"{source.name}: valid ({len(facts)} experiments)")
-    for each in series.experiments:
-        typer.echo(f"  {each.title}")
-    print_warnings(missing)
-
-
-def plan_series(
-    source: Source, station: Path | None, part: Commissioning | None, connect: bool, json: bool
-) -> None:
-    """What each experiment of a series would do, and how long all of them take."""
-    from hil.cli.progress import ExcitationLine
-    from hil.workflow import load_series, preview_experiment
-
-    told = []
-    for each in load_series(source, station).experiments:
-        experiment = replace(each, commissioning=part)
-        with ExcitationLine() as line:
-            _, preview = preview_experiment(experiment, connect=connect, watch=line)
-        told.append((experiment, preview.to_dict()))
-    total = {key: sum(facts[key] for _, facts in told) for key in ("duration_s", "recording_bytes")}
-    if json:
-        runs = [{"name": each.spec.name, **facts} for each, facts in told]
-        print_json({"series": source.name, "runs": runs, **total})
-        return
-    rows = [_planned(each.spec.name, each.spec.robot, facts) for each, facts in told]
-    rows.append(_planned("together", "", total))
-    print_table(("experiment", "robot", "motion", "recording"), rows)
-    typer.echo(f"of motion alone; margins and pictures: hil plan {told[0][0].spec_source}")
-    for each, facts in told:
-        for warning in facts["warnings"]:
-            typer.echo(f"warning: {each.spec.name}: {warning}")
-
-
-def _planned(name: str, robot: str, facts: dict[str, Any]) -> tuple[str, ...]:
-    return name, robot, duration(facts["duration_s"]), size(facts["recording_bytes"])
 
 
 def run_series(
@@ -93,27 +42,27 @@ def run_series(
     """Run a series from its beginning.
 
     Args:
-        source: What was read from its file.
+        source: Content of its file.
         station: In place of every station the files name.
         runs: Where run directories are kept.
-        part: What of each experiment is executed, and how fast; None for all of it.
+        part: Part and speed of each experiment that is executed; None for the whole.
         begin: Runs an experiment.
         json: Whether to print one document and nothing else.
         confirm: Confirms all robots at once.
     """
-    from hil.workflow import Moves, check_driver, load_series, require_extras
+    from hil.workflow import check_driver, load_series, require_extras
 
     series = load_series(source, station)
-    for experiment in series.experiments:
-        check_driver(replace(experiment, commissioning=part))
+    experiments = [replace(each, commissioning=part) for each in series.experiments]
+    for experiment in experiments:
+        check_driver(experiment)
         if part is None:
             require_extras(experiment.spec)
-    parts = (replace(each, commissioning=part) for each in series.experiments)
-    confirm(Moves(series.source, series.spec.robots, _places(parts)))
+    confirm(moves_of(series, experiments))
     group = series.create_group(runs, station, part)
 
-    def execute(experiment: Experiment, document: Document) -> Outcome:
-        return _told(begin(replace(experiment, commissioning=part)))
+    def execute(experiment: Experiment, before: Document) -> Outcome:
+        return _outcome(begin(replace(experiment, commissioning=part)))
 
     with group.held():
         _run(series, group, execute, json)
@@ -124,7 +73,7 @@ def resume_series(
 ) -> None:
     """Go on with a series that ended early, from the run in which it did.
 
-    Of one that came to its end only the overview is made anew.
+    If none is left to do, only the overview is written again.
 
     Args:
         path: Its folder.
@@ -134,43 +83,63 @@ def resume_series(
         confirm: Confirms all robots that are left at once.
     """
     from hil.recording import SeriesGroup
-    from hil.workflow import Moves, commissioning_of_series, load_series
+    from hil.workflow import commissioning_of_series, load_series
+    from hil.workflow import run_series as run_all
 
     group = SeriesGroup.open(path)
     station, part = group.head.get("station"), commissioning_of_series(group)
     series = load_series(Path(group.head["source"]), Path(station) if station else None)
 
-    def execute(experiment: Experiment, told: Document) -> Outcome:
-        run = Path(told["run"]) if told.get("run") else None
+    def execute(experiment: Experiment, before: Document) -> Outcome:
+        run = Path(before["run"]) if before.get("run") else None
         if run is None:
-            return _told(begin(replace(experiment, commissioning=part)))
-        if told.get("outcome") == "completed" and (run / "verdict.json").is_file():
-            return _studied(run, told)
-        return _told(resume(run))
+            return _outcome(begin(replace(experiment, commissioning=part)))
+        if before.get("outcome") == "completed" and (run / "verdict.json").is_file():
+            return _with_studies(run, before)
+        return _outcome(resume(run))
 
     with group.held():
         members = group.members()
-        if series.is_finished(members):
-            _tell_done(series, group, execute, json)
+        if not series.is_finished(members):
+            left = (replace(each, commissioning=part) for each in series.without_run(members))
+            confirm(moves_of(series, left))
+            _run(series, group, execute, json)
             return
-        left = (replace(each, commissioning=part) for each in series.without_run(members))
-        confirm(Moves(series.source, series.spec.robots, _places(left)))
-        _run(series, group, execute, json)
-
-
-def _places(experiments: Iterable[Experiment]) -> dict[str, Experiment]:
-    """Return experiments by their place in a series."""
-    return {f"series.{i}": each for i, each in enumerate(experiments)}
-
-
-def _tell_done(series: Series, group: SeriesGroup, execute: Execute, json: bool) -> None:
-    from hil.workflow import run_series
-
-    report = run_series(series, group, execute)
+        report = run_all(series, group, execute)
     if json:
         print_json({**report.to_dict(), "exit_code": 0})
-        return
-    typer.echo(f"nothing is left to do of {series.spec.name}; overview: {_page(report)}")
+    else:
+        typer.echo(f"nothing is left to do of {series.spec.name}; overview: {_page(report)}")
+
+
+def moves_of(series: Series, experiments: Iterable[Experiment]) -> Moves:
+    """Return what experiments of a series move, by their place in it."""
+    from hil.workflow import Moves
+
+    places = {f"series.{i}": each for i, each in enumerate(experiments)}
+    return Moves(series.source, series.spec.robots, places)
+
+
+def _outcome(report: RunReport) -> Outcome:
+    return report.to_dict(), report.error or rejected(report)
+
+
+def rejected(report: RunReport) -> Rejected | None:
+    """Return the error of a run whose model missed its criteria; None if it has none."""
+    if report.verdict != "rejected":
+        return None
+    message = f"the model of {report.run} missed its acceptance criteria"
+    return Rejected(message, hint=f"hil show {report.run}")
+
+
+def _with_studies(run: Path, before: Document) -> Outcome:
+    """Finish a run that was stopped during its studies: its models are there."""
+    from hil import api
+    from hil.cli.progress import StudyLine
+
+    with StudyLine() as line:
+        api.study(run, watch=line.show)
+    return before, None
 
 
 def _run(series: Series, group: SeriesGroup, execute: Execute, json: bool) -> None:
@@ -179,45 +148,25 @@ def _run(series: Series, group: SeriesGroup, execute: Execute, json: bool) -> No
 
     number = {each.spec.name: i for i, each in enumerate(series.experiments, 1)}
 
-    def announced(experiment: Experiment, told: Document) -> Outcome:
+    def announced(experiment: Experiment, before: Document) -> Outcome:
         which = f"{number[experiment.spec.name]} of {len(series.experiments)}"
         typer.echo(f"{which}: {experiment.title}", err=True)
-        return execute(experiment, told)
+        return execute(experiment, before)
 
     report = run_series(series, group, announced)
     ignore_from_now_on()
-    _tell(report, json)
-
-
-def _told(report: RunReport) -> Outcome:
-    from hil.cli.attended import rejected
-
-    return report.to_dict(), report.error or rejected(report)
-
-
-def _studied(run: Path, told: Document) -> Outcome:
-    """A run that was stopped during its studies: its models are there."""
-    from hil import api
-    from hil.cli.progress import StudyLine
-
-    with StudyLine() as line:
-        api.study(run, watch=line.show)
-    return told, None
-
-
-def _tell(report: SeriesReport, json: bool) -> None:
-    error = report.error
     if json:
         print_json(report.to_dict())
     else:
         for each in report.members:
             if each.report.get("run"):
-                tell_run(Path(each.report["run"]))
+                print_run(Path(each.report["run"]))
                 typer.echo()
         rows = [(each.experiment, each.robot, each.word) for each in report.members]
-        print_table(("experiment", "robot", "result"), [*rows, *_rows_not_begun(report)])
+        rows += [(name, "", "not begun") for name in report.left]
+        print_table(("experiment", "robot", "result"), rows)
         typer.echo(f"overview: {_page(report)}")
-    if error is None:
+    if (error := report.error) is None:
         return
     if not all(each.measured for each in report.members):
         hint = f"when the cause is mended: hil resume {report.folder}"
@@ -227,7 +176,3 @@ def _tell(report: SeriesReport, json: bool) -> None:
 
 def _page(report: SeriesReport) -> str:
     return str(report.page or "could not be made")
-
-
-def _rows_not_begun(report: SeriesReport) -> list[tuple[str, str, str]]:
-    return [(name, "", "not begun") for name in report.left]

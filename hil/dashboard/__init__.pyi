@@ -1,4 +1,4 @@
 from .server import listen as listen
 from .server import serve as serve
 from .settings import Settings as Settings
-from .settings import is_loopback as is_loopback
+from .settings import token_for as token_for

@@ -1,8 +1,4 @@
-"""Settings of a dashboard: the folders it shows, the address it listens on, and who may do what.
-
-`is_loopback` and `is_wildcard` decide about the token: on loopback none is needed, elsewhere one is
-made if the user gives none.
-"""
+"""Settings of a dashboard: the folders it shows, the address it listens on, and who may do what."""
 
 from __future__ import annotations
 
@@ -13,6 +9,9 @@ import socket
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from hil.core import SpecError
+from hil.robot import is_loopback
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -91,14 +90,28 @@ def settings_of(request: Request) -> Settings:
     return settings
 
 
-def is_loopback(host: str) -> bool:
-    """Return whether an address or name is a loopback one."""
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host.strip("[]")).is_loopback
-    except ValueError:
-        return False
+SHORTEST_TOKEN = 16
+"""Characters of a token that cannot be found by trying."""
+
+
+def token_for(host: str, chosen: str) -> str:
+    """Return the token that visitors have to show; empty if none is needed.
+
+    Args:
+        host: Address to listen on. On loopback no token is needed.
+        chosen: The user's token; empty for none, in which case a new one is made.
+
+    Raises:
+        SpecError: A whole network could find the user's token by trying.
+    """
+    if is_loopback(host):
+        return chosen
+    if chosen and len(chosen) < SHORTEST_TOKEN:
+        raise SpecError(
+            f"$HIL_TOKEN has {len(chosen)} characters, and whoever reaches this computer may try",
+            hint=f"give it {SHORTEST_TOKEN} or more: HIL_TOKEN=$(openssl rand -hex 16)",
+        )
+    return chosen or secrets.token_urlsafe(24)
 
 
 def is_wildcard(host: str) -> bool:

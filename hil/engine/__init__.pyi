@@ -18,7 +18,6 @@ from .interlocks import interlocks_from_spec as interlocks_from_spec
 from .live_view import LAYOUT as LAYOUT
 from .live_view import LOOPBACK as LOOPBACK
 from .live_view import FoxgloveLive as FoxgloveLive
-from .live_view import is_loopback as is_loopback
 from .observers import Observer as Observer
 from .observers import Observers as Observers
 from .preflight import OWN as OWN

@@ -227,14 +227,6 @@ class FoxgloveLive:
         raise _refused(self._host, ports, refusal) from refusal
 
 
-def is_loopback(host: str) -> bool:
-    """Return whether only this machine can reach an address."""
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
-
-
 def _refused(host: str, ports: list[int | None], refusal: RuntimeError) -> PluginError:
     tried = f"{ports[0]}" if len(ports) == 1 else f"{ports[0]} to {ports[-1]}"
     why = str(refusal).removeprefix("FoxgloveError: ")

@@ -39,7 +39,7 @@ from .promotion import FEWEST_BLOCKS as FEWEST_BLOCKS
 from .promotion import challenge as challenge
 from .promotion import compare_sources as compare_sources
 from .promotion import require_promoted as require_promoted
-from .registries_file import registries_of as registries_of
+from .registries_file import known_registries as known_registries
 from .version import ModelVersion as ModelVersion
 from .version import numbers_in as numbers_in
 from .version import read_version as read_version

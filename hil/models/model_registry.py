@@ -290,6 +290,29 @@ class Registry:
             self._adopt(home)
             return _view(home)
 
+    def check(self) -> dict[str, tuple[list[ModelVersion], Aliases]]:
+        """Compare every file with its digest and every log with its head; rebuild the views.
+
+        Returns:
+            Versions and roles by name.
+
+        Raises:
+            RegistryError: With all problems; nothing is written for a damaged name.
+        """
+        sound, problems = {}, list[RegistryError]()
+        for name in self.names():
+            try:
+                versions = self.versions(name)
+                for version in versions:
+                    version.verify()
+                sound[name] = versions, self.rebuild(name)
+            except RegistryError as error:
+                problems.append(error)
+        if problems:
+            message = "; ".join(problem.message for problem in problems)
+            raise RegistryError(message, hint=problems[0].hint) from problems[0]
+        return sound
+
     def problem(self, name: str) -> RegistryError | None:
         """Return what is wrong with a name's log; None where it is sound. Writes nothing.
 

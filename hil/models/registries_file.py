@@ -63,6 +63,25 @@ def _runs_of(source: Path) -> Path | None:
     return None
 
 
+REGISTRY = Path("registry")
+"""Where the registry is by default: here, and beside a folder of runs."""
+
+
+def known_registries(runs: Path, named: Iterable[Path] = ()) -> list[Path]:
+    """Return every registry that may have models of runs of a folder.
+
+    These are the named ones, $HIL_REGISTRY and those noted in the folder, whether they are there or
+    not, and the default ones that are there.
+
+    Raises:
+        RegistryError: One that is noted is not there, or the note cannot be read.
+    """
+    default = [place for place in (REGISTRY, runs.resolve().parent / REGISTRY) if place.exists()]
+    variable = os.environ.get("HIL_REGISTRY")
+    chosen = [*named, *([Path(variable)] if variable else [])]
+    return list({one.resolve(): one for one in (*default, *chosen, *registries_of(runs))}.values())
+
+
 def registries_of(runs: Path) -> list[Path]:
     """Return the registries that are noted in a folder of runs.
 

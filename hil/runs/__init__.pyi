@@ -3,7 +3,9 @@ from .catalogue import find_runs as find_runs
 from .catalogue import stamp_of as stamp_of
 from .listing import describe_run as describe_run
 from .listing import entry_of as entry_of
+from .listing import find_model as find_model
 from .listing import find_run as find_run
+from .listing import find_source as find_source
 from .listing import list_runs as list_runs
 from .listing import listing_of as listing_of
 from .listing import run_listings as run_listings

@@ -24,7 +24,7 @@ from typing import Any, Literal
 import numpy as np
 
 from hil.core import DataError, HilError, closest, is_live, read_json, shell_word
-from hil.estimators import models_below
+from hil.estimators import models_below, only_model
 from hil.evaluation import verdict_word
 from hil.recording import (
     PARTIAL_SUFFIX,
@@ -160,6 +160,35 @@ def _no_run(file: Path) -> DataError:
     else:
         hint = f"it is data, not a run; fit it: hil fit {file} --estimator NAME"
     return DataError(f"{file} is a recording, not a run directory", hint=hint)
+
+
+def find_source(named: str, runs_root: Path) -> Path:
+    """Return the recording or run that a person means: a path, else as of `find_run`.
+
+    Raises:
+        DataError: As `find_run`; not for a path, whose reader says what is wrong with it.
+    """
+    path = Path(named)
+    is_path = path.exists() or path.name != named or path.suffix == ".mcap"  # no run's name ends so
+    return path if is_path else find_run(named, runs_root)
+
+
+def find_model(named: str, runs_root: Path) -> Path:
+    """Return the folder of the model that a person means.
+
+    Args:
+        named: The folder, or a run with one model: by path, or as of `find_run`.
+        runs_root: The folder of runs.
+
+    Raises:
+        DataError: There is none, or there are several.
+    """
+    try:
+        path = find_source(named, runs_root)
+    except DataError as error:
+        message = f"there is no model folder {named}; {error.message}"
+        raise DataError(message, hint=error.hint) from None
+    return only_model(path)
 
 
 def list_runs(runs: str | Path = "runs") -> list[dict[str, Any]]:

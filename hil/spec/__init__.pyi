@@ -1,14 +1,6 @@
 from .documentation import DIALECT as DIALECT
-from .documentation import MODELS as MODELS
-from .documentation import KeyInfo as KeyInfo
-from .documentation import example_of as example_of
-from .documentation import experiment_schema as experiment_schema
-from .documentation import explain_key as explain_key
-from .documentation import keys_below as keys_below
-from .documentation import schedule_schema as schedule_schema
-from .documentation import section_of as section_of
-from .documentation import series_schema as series_schema
-from .documentation import station_schema as station_schema
+from .documentation import describe_keys as describe_keys
+from .documentation import schema_of as schema_of
 from .draft import DRAFT_KINDS as DRAFT_KINDS
 from .draft import Draft as Draft
 from .draft import drafts as drafts

@@ -28,7 +28,6 @@ from pydantic.json_schema import GenerateJsonSchema
 
 from hil.core import KeyPath, SpecError, closest, dotted, split_unit, symbol_of
 from hil.spec.experiment import ExperimentSpec
-from hil.spec.field_types import Strict
 from hil.spec.fleet import FleetSpec
 from hil.spec.model_tree import Model, choices_of, is_model, keys_of, kinds_of, plain, tree
 from hil.spec.schedule import ScheduleSpec
@@ -231,13 +230,9 @@ def _section(path: KeyPath, owner: Model) -> str:
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 
-def experiment_schema() -> dict[str, Any]:
-    """JSON Schema (draft 2020-12) of an experiment."""
-    return _schema(ExperimentSpec, "experiment")
-
-
-def _schema(model: type[Strict], kind: str) -> dict[str, Any]:
-    schema = model.model_json_schema(by_alias=True, schema_generator=_WithUnits)
+def schema_of(kind: str) -> dict[str, Any]:
+    """Return the JSON Schema (draft 2020-12) of a kind of file, one of `MODELS`."""
+    schema = MODELS[kind].model_json_schema(by_alias=True, schema_generator=_WithUnits)
     head = {"$schema": DIALECT, "$id": f"urn:hil:schema:{kind}:1", "title": f"hil {kind}"}
     return head | {key: value for key, value in schema.items() if key not in head}
 
@@ -252,38 +247,11 @@ class _WithUnits(GenerateJsonSchema):
         return f"{words} [{unit}]" if unit else words
 
 
-def station_schema() -> dict[str, Any]:
-    """JSON Schema (draft 2020-12) of a station."""
-    return _schema(Station, "station")
-
-
-def series_schema() -> dict[str, Any]:
-    """JSON Schema of a series of experiments."""
-    return _schema(SeriesSpec, "series")
-
-
-def schedule_schema() -> dict[str, Any]:
-    """JSON Schema of a schedule."""
-    return _schema(ScheduleSpec, "schedule")
-
-
-def fleet_schema() -> dict[str, Any]:
-    """Return the JSON Schema of a fleet's file."""
-    return _schema(FleetSpec, "fleet")
-
-
 def schema_files() -> dict[str, str]:
-    """The text of every schema file by its name."""
-    schemas = {
-        "experiment": experiment_schema(),
-        "fleet": fleet_schema(),
-        "schedule": schedule_schema(),
-        "series": series_schema(),
-        "station": station_schema(),
-    }
+    """Return the text of every schema file by its name."""
     return {
-        f"{name}.schema.json": json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
-        for name, schema in schemas.items()
+        f"{kind}.schema.json": json.dumps(schema_of(kind), indent=2, ensure_ascii=False) + "\n"
+        for kind in MODELS
     }
 
 
@@ -394,14 +362,63 @@ def comment_of(info: KeyInfo, more: str = "") -> str:
     return f"{said} {more}".strip()
 
 
+def describe_keys(key: str) -> list[dict[str, Any]]:
+    """Return all about a key, in the form of `hil explain --json`; several entries if kinds differ.
+
+    Keys that several mappings share in the same words are described once, without a kind.
+
+    Args:
+        key: Dotted path in a file, or its end.
+
+    Raises:
+        SpecError: There is no such key.
+    """
+    wanted = key.strip().strip(".")
+    if "" in wanted.split(".") or wanted.replace(".", "").isdigit():
+        raise SpecError(f"{key!r} is no key", hint="hil explain excitation.dwell_s")
+    infos: dict[tuple[str, ...], KeyInfo] = {}
+    for info in explain_key(wanted):
+        words = (info.file, info.path, info.allowed, info.default, info.meaning)
+        infos[words] = replace(info, kind="") if words in infos else info
+    return [
+        {
+            "file": info.file,
+            "path": info.path,
+            "kind": info.kind,
+            "unit": info.unit,
+            "allowed": info.allowed.replace("`", ""),
+            "default": info.default.strip("`"),
+            "meaning": info.meaning,
+            "keys_below": list(dict.fromkeys(one.path.rpartition(".")[2] for one in _below(info))),
+            "example": example_of(info),
+            "documented": f"docs/reference/spec.md, {info.file.capitalize()}, {section_of(info)}",
+        }
+        for info in infos.values()
+    ]
+
+
+def _below(info: KeyInfo) -> list[KeyInfo]:
+    """Return the keys of the mapping that a key holds, of all its kinds."""
+    known = keys_below(MODELS[info.file])
+    above = (info.path, f"{info.path}.<name>")  # entries of a dict have names of their own
+    return [replace(one, file=info.file) for one in known if one.path.rpartition(".")[0] in above]
+
+
 def example_of(info: KeyInfo) -> str:
-    """A line with a key: as `hil new` writes it, else with its default; empty without either."""
+    """Return a line with a key: as `hil new` writes it, else with its default.
+
+    A mapping is shown with the first of its keys that has such a line; empty if none has.
+    """
     for code, path, kind in _examples():
         if info.kind in ("", kind) and _is_at(info, path):
             return code
     key = info.path.rpartition(".")[2]
-    value = info.default.strip("`")
-    return f"{key}: {value}" if info.default.startswith("`") else ""
+    if info.default.startswith("`"):
+        return f"{key}: {info.default.strip('`')}"
+    inside = next((line for one in _below(info) if (line := example_of(one))), "")
+    if not inside:
+        return ""
+    return f"{key}: [{{{inside}}}]" if info.allowed.startswith("list") else f"{key}: {{{inside}}}"
 
 
 @cache

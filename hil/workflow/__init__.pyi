@@ -47,6 +47,7 @@ from .preview import plan as plan
 from .preview import planned as planned
 from .preview import preview_experiment as preview_experiment
 from .recording import describe_robot as describe_robot
+from .recording import recorded_capabilities as recorded_capabilities
 from .recording import whole as whole
 from .remote_control import Reaction as Reaction
 from .remote_control import answer_run as answer_run

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.arms import load_arm, model_sha256
-from hil.core import HilError, RecordingError, StructArray, exit_code_of, plugins
+from hil.core import DataError, HilError, RecordingError, StructArray, exit_code_of, plugins
 from hil.engine import (
     Engine,
     GoOn,
@@ -41,7 +41,7 @@ from hil.recording import (
     collect_provenance,
     name_of_attempt,
 )
-from hil.robot import STATE_TOPIC, HasTopics, Robot, state_topic
+from hil.robot import STATE_TOPIC, Capabilities, HasTopics, Robot, state_topic
 from hil.spec import StationRobot, require_judgeable, spec_hash
 from hil.workflow.checks import require_extras, require_within_reach
 from hil.workflow.interlocks import RunInterlocks
@@ -242,6 +242,27 @@ def describe_robot(robot: Robot, station_robot: StationRobot) -> dict[str, Any]:
         "drive_gains": list(can.drive_gains),
         "drive_gains_source": can.drive_gains_source,
     }
+
+
+def recorded_capabilities(run: RunDirectory) -> Capabilities:
+    """Return what the robot of a run offered, from the start document: the part that viewers need.
+
+    Raises:
+        DataError: The document lacks the robot.
+    """
+    try:
+        robot = run.start["robot"]
+        return Capabilities(
+            joint_names=tuple(map(str, robot["joint_names"])),
+            rate_hz=float(robot["rate_hz"]),
+            effort_kind=robot["effort_kind"],
+            clock=robot["clock"],
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise DataError(
+            f"{run.path}/start.json does not say what the robot was: {error}",
+            hint="resume without --live",
+        ) from error
 
 
 def whole(source: str) -> str:

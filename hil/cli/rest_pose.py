@@ -6,23 +6,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hil.cli.models import ModelArgument, found_model
-from hil.cli.output import JsonFlag, RunsOption, fold, out_width, print_json, print_table
+from hil.cli.options import JsonFlag, ModelArgument, RunsOption
+from hil.cli.output import out_width, print_json, print_table, say, table_lines
 from hil.core import SpecError
 
 if TYPE_CHECKING:
     from hil.control import RestPose, RestReport
 
-LABEL_WIDTH = 15
-NUMBER_WIDTH = 7
-INDENT = "   "
+app = typer.Typer()
 
 
-def register(app: typer.Typer) -> None:
-    """Add this group's verbs."""
-    app.command("rest-pose")(rest_pose)
-
-
+@app.command("rest-pose")
 def rest_pose(
     model: ModelArgument,
     station: Annotated[
@@ -58,9 +52,10 @@ def rest_pose(
 ) -> None:
     """Find the pose in which the brakes hold least, and say what happens when they fail."""
     from hil import api
+    from hil.runs import find_model
 
     report = api.rest_poses(
-        found_model(model, runs),
+        find_model(model, runs),
         station=station,
         robot=robot or None,
         payload=payload or None,
@@ -85,72 +80,69 @@ def _angles(text: str) -> list[float]:
 
 def _print(report: "RestReport") -> None:
     load = "nothing" if report.payload.is_empty else str(report.payload)
-    _say(f"rest poses of {report.robot} by {Path(report.model).name}, with {load} mounted")
-    kept = f", {1e3 * report.clearance_m:.0f} mm clear" if report.clearance_m else ""
-    _say(f"around it: {report.around}{kept}")
+    say(f"rest poses of {report.robot} by {Path(report.model).name}, with {load} mounted")
+    clearance = f", {1e3 * report.clearance_m:.0f} mm clear" if report.clearance_m else ""
+    say(f"around it: {report.around}{clearance}")
     typer.echo()
-    named = [*((str(i), pose) for i, pose in enumerate(report.poses, 1))]
-    named += [(pose.label, pose) for pose in report.compared]
-    _print_summary(named)
-    for name, pose in named:
+    poses = [(str(i), pose) for i, pose in enumerate(report.poses, 1)]
+    poses += [(pose.label, pose) for pose in report.compared]
+    _print_summary(poses)
+    for name, pose in poses:
         typer.echo()
         _print_pose(report, name, pose)
     if report.notes:
         typer.echo()
     for note in report.notes:
-        _say(f"note: {note}")
+        say(f"note: {note}")
 
 
-def _print_summary(named: "Iterable[tuple[str, RestPose]]") -> None:
-    print_table(
-        ("pose", "rms %", "most %", "clear mm", "without brakes it"),
-        [
-            (
-                name,
-                f"{100 * pose.effort:.2f}",
-                f"{100 * max(abs(pose.share)):.2f}",
-                f"{1e3 * pose.clearance:.0f}" + ("" if pose.clear else " !"),
-                {"held": "is held"}.get(pose.fail.outcome, pose.fail.outcome),
-            )
-            for name, pose in named
-        ],
-    )
+def _print_summary(poses: "Iterable[tuple[str, RestPose]]") -> None:
+    rows = [
+        (
+            name,
+            f"{100 * pose.effort:.2f}",
+            f"{100 * max(abs(pose.share)):.2f}",
+            f"{1e3 * pose.clearance:.0f}" + ("" if pose.clear else " !"),
+            "is held" if pose.fail.outcome == "held" else pose.fail.outcome,
+        )
+        for name, pose in poses
+    ]
+    print_table(("pose", "rms %", "most %", "clear mm", "without brakes it"), rows)
+
+
+MARGIN = "   "
 
 
 def _print_pose(report: "RestReport", name: str, pose: "RestPose") -> None:
     import numpy as np
 
-    _say(f"{name}  {pose.label}" if name != pose.label else name)
+    say(f"{name}  {pose.label}" if name != pose.label else name)
     rows = [
-        ("pose [deg]", [f"{angle:.1f}" for angle in np.round(np.degrees(pose.q), 1) + 0.0]),
-        ("torque [N·m]", [f"{torque:.2f}" for torque in np.round(pose.torque, 2) + 0.0]),
-        ("of limit [%]", [f"{100 * abs(share):.2f}" for share in pose.share]),
+        ("pose [deg]", *(f"{angle:.1f}" for angle in np.round(np.degrees(pose.q), 1) + 0.0)),
+        ("torque [N·m]", *(f"{torque:.2f}" for torque in np.round(pose.torque, 2) + 0.0)),
+        ("of limit [%]", *(f"{100 * abs(share):.2f}" for share in pose.share)),
     ]
     if report.friction is not None:
-        rows.append(("friction spare", [f"{spare:.2f}" for spare in pose.fail.spare]))
-    _print_joints(rows, len(report.joint_names))
+        rows.append(("friction spare", *(f"{spare:.2f}" for spare in pose.fail.spare)))
+    joints = range(1, len(report.joint_names) + 1)
+    width = out_width()
+    lines = table_lines(
+        ("", *(f"J{j}" for j in joints)),
+        rows,
+        right=joints,
+        width=None if width is None else width - len(MARGIN),
+    )
+    for line in lines:
+        typer.echo(f"{MARGIN}{line}")
     if not pose.clear:
-        _say(f"not within limits, or too close: {' and '.join(pose.bodies)}", INDENT)
+        say(f"not within limits, or too close: {' and '.join(pose.bodies)}", MARGIN)
     elif np.isfinite(pose.clearance):
-        _say(f"{1e3 * pose.clearance:.0f} mm between {' and '.join(pose.bodies)}", INDENT)
-    _say(_ending(report, pose), INDENT)
+        say(f"{1e3 * pose.clearance:.0f} mm between {' and '.join(pose.bodies)}", MARGIN)
+    say(_without_brakes(report, pose), MARGIN)
 
 
-def _print_joints(rows: list[tuple[str, list[str]]], joints: int) -> None:
-    """Numbers joint by joint, in as many blocks as a terminal needs."""
-    width = out_width() or 10_000
-    most = max(1, (width - LABEL_WIDTH - len(INDENT)) // NUMBER_WIDTH)
-    for start in range(0, joints, most):
-        block = range(start, min(start + most, joints))
-        head = "".join(f"J{j + 1}".rjust(NUMBER_WIDTH) for j in block)
-        typer.echo(f"{INDENT}{'':{LABEL_WIDTH}}{head}")
-        for label, cells in rows:
-            numbers = "".join(cells[j].rjust(NUMBER_WIDTH) for j in block)
-            typer.echo(f"{INDENT}{label:{LABEL_WIDTH}}{numbers}")
-
-
-def _ending(report: "RestReport", pose: "RestPose") -> str:
-    """What happens when the brakes fail, in words."""
+def _without_brakes(report: "RestReport", pose: "RestPose") -> str:
+    """Return a sentence about what happens when the brakes fail."""
     fail = pose.fail
     weakest = int(min(range(len(fail.spare)), key=lambda j: fail.spare[j]))
     first = report.joint_names[int(max(range(len(fail.way_down)), key=lambda j: fail.way_down[j]))]
@@ -167,9 +159,3 @@ def _ending(report: "RestReport", pose: "RestPose") -> str:
         if known
         else "without brakes it falls, unless its friction holds the torque",
     }[fail.outcome]
-
-
-def _say(text: str, indent: str = "") -> None:
-    width = out_width()
-    folded = fold(text, None if width is None else width - len(indent))
-    typer.echo("\n".join(indent + line for line in folded.splitlines()))

@@ -1,25 +1,21 @@
-"""`hil mock`, `hil doctor`, `hil plugins`: the bench itself."""
+"""`hil mock`: simulated robots, and the truth about them."""
 
-import dataclasses
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from hil.cli.output import JsonFlag, print_json, print_table
+from hil.cli.options import JsonFlag
+from hil.cli.output import print_json, print_table
 from hil.core import PluginError
 
 USUAL_MODEL = "ur5"
 """Of mocks that do not say which arm they usually stand for (attribute `model`)."""
 
-
-def register(app: typer.Typer) -> None:
-    """Add this group's verbs."""
-    app.command(context_settings={"ignore_unknown_options": True, "allow_extra_args": True})(mock)
-    app.command()(doctor)
-    app.command()(plugins)
+app = typer.Typer()
 
 
+@app.command(context_settings={"ignore_unknown_options": True, "allow_extra_args": True})
 def mock(
     context: typer.Context,
     name: Annotated[str, typer.Argument(help="Which mock; `list` names them.")] = "list",
@@ -42,9 +38,9 @@ def mock(
 
     `hil mock ur --speed 10` runs a UR controller until Ctrl-C; `hil mock ur --help` has the rest.
     """
-    from hil.core import plugins as found
+    from hil.core import plugins
 
-    chosen = None if name == "list" else found.load("hil.mocks", name)()
+    chosen = None if name == "list" else plugins.load("hil.mocks", name)()
     if help_ and not hasattr(chosen, "serve"):
         typer.echo(context.get_help())
         return
@@ -72,46 +68,12 @@ def mock(
 
 
 def _list_mocks(json: bool) -> None:
-    from hil.core import plugins as found
+    from hil.core import plugins
 
-    entries = [
-        {"name": n, "description": found.load("hil.mocks", n).description}
-        for n in found.names("hil.mocks")
-    ]
+    mocks = {
+        name: plugins.load("hil.mocks", name).description for name in plugins.names("hil.mocks")
+    }
     if json:
-        print_json(entries)
+        print_json([{"name": name, "description": text} for name, text in mocks.items()])
     else:
-        print_table(("mock", "what"), [(e["name"], e["description"]) for e in entries])
-
-
-def doctor(
-    station: Annotated[
-        Path | None,
-        typer.Option("--station", help="Also ask the robots of this station; none is moved."),
-    ] = None,
-    json: JsonFlag = False,
-) -> None:
-    """Look at this computer, and with --station at its robots; exits 1 when something is bad."""
-    from hil.doctor import examine
-
-    findings = examine(station)
-    if json:
-        print_json([f.to_dict() for f in findings])
-    else:
-        print_table(("", "what", "finding"), [(f.mark, f.what, f.finding) for f in findings])
-    if any(f.bad for f in findings):
-        raise typer.Exit(1)
-
-
-def plugins(json: JsonFlag = False) -> None:
-    """List drivers, estimators, excitations, checks, interlocks and mocks; broken ones and why."""
-    from hil.core import describe_all
-
-    found = describe_all()
-    if json:
-        print_json([dataclasses.asdict(p) for p in found])
-    else:
-        print_table(
-            ("group", "name", "from", "state"),
-            [(p.group, p.name, p.distribution, p.error or "ok") for p in found],
-        )
+        print_table(("mock", "what"), mocks.items())

@@ -1,27 +1,23 @@
-"""`hil prune`: runs let go by a policy; those that registered models came from never."""
+"""`hil prune`: delete runs by a policy, none that a registered model came from."""
 
-import os
 from collections import Counter
-from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hil.cli.output import JsonFlag, RunsOption, print_json, print_table, say, size
-from hil.core import RegistryError, SpecError
+from hil.cli.options import JsonFlag, RunsOption, parse_duration
+from hil.cli.output import print_json, print_table, say
+from hil.core import RegistryError
+from hil.report import size
 
 if TYPE_CHECKING:
     from hil.runs import Decision
 
-HERE = Path("registry")
+app = typer.Typer()
 
 
-def register(app: typer.Typer) -> None:
-    """Add this group's verb."""
-    app.command()(prune)
-
-
+@app.command()
 def prune(
     query: Annotated[
         list[str] | None,
@@ -62,10 +58,11 @@ def prune(
     json: JsonFlag = False,
 ) -> None:
     """Delete old runs, none that a registered model came from; says only which without --yes."""
+    from hil.models import known_registries
     from hil.runs import Policy, decide, leftovers, remove
 
-    policy = Policy(tuple(query or ()), _age(older_than), keep, interrupted, recordings_only,
-                    older_than)  # fmt: skip
+    age = parse_duration("--older-than", older_than, "--older-than 180d") if older_than else None
+    policy = Policy(tuple(query or ()), age, keep, interrupted, recordings_only, older_than)
     registries = known_registries(runs, registry or ())
     if yes and not registries and not no_registry:
         raise RegistryError(
@@ -76,7 +73,7 @@ def prune(
     left = leftovers(runs)
     if yes:
         decisions = remove(decisions, runs, policy, registries)
-    told = {
+    document = {
         "deleted": yes,
         "policy": policy.to_dict(),
         "registries": [str(one) for one in registries],
@@ -84,48 +81,26 @@ def prune(
         "runs": [one.to_dict() for one in decisions],
     }
     if json:
-        print_json(told)
+        print_json(document)
     else:
-        _print(told, decisions, len(left))
+        _print(document, decisions, len(left))
 
 
-def known_registries(runs: Path, named: list[Path] | tuple[Path, ...]) -> list[Path]:
-    """Those that are named or noted in the runs, which must be there, and the usual ones that are.
-
-    Raises:
-        RegistryError: One that is noted is not there.
-    """
-    from hil.models import registries_of
-
-    given = [*named, *([Path(told)] if (told := os.environ.get("HIL_REGISTRY")) else [])]
-    usual = [place for place in (HERE, runs.resolve().parent / HERE) if place.exists()]
-    return list({one.resolve(): one for one in (*usual, *given, *registries_of(runs))}.values())
-
-
-def _age(text: str) -> timedelta | None:
-    from hil.core import duration_of
-
-    try:
-        return duration_of(text) if text else None
-    except ValueError as error:
-        raise SpecError(f"--older-than {error}", hint="for example: --older-than 180d") from None
-
-
-def _print(told: dict[str, Any], decisions: "list[Decision]", left: int) -> None:
-    gone = [one for one in decisions if one.goes]
-    if gone:
-        print_table(("goes", "size"), [(str(one.run), size(one.size)) for one in gone])
+def _print(document: dict[str, Any], decisions: "list[Decision]", left: int) -> None:
+    going = [one for one in decisions if one.goes]
+    if going:
+        print_table(("goes", "size"), [(str(one.run), size(one.size)) for one in going])
     guarded = [one for one in decisions if one.guarded]
     if guarded:
         print_table(("stays", "because"), [(str(one.run), one.why) for one in guarded])
     others = Counter(one.why for one in decisions if one.why and not one.guarded)
     for why, count in others.items():
         say(f"{count} more {'stays' if count == 1 else 'stay, each'} because {why}")
-    if not told["registries"]:
+    if not document["registries"]:
         say("no registry is known: no run is kept for the sake of a model, --yes asks which")
-    what = "the recordings of " if told["policy"]["recordings_only"] else ""
-    total = f"{what}{len(gone)} run{'s'[: len(gone) != 1]}, {size(told['bytes'])}"
-    if told["deleted"]:
+    what = "the recordings of " if document["policy"]["recordings_only"] else ""
+    total = f"{what}{len(going)} run{'s'[: len(going) != 1]}, {size(document['bytes'])}"
+    if document["deleted"]:
         say(f"deleted: {total}")
         return
     say(f"would be deleted: {total}; nothing was, --yes does it")

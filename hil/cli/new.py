@@ -7,23 +7,21 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hil.cli.output import JsonFlag, print_json, print_table, say
+from hil.cli.options import JsonFlag
+from hil.cli.output import print_json, print_table, say
 from hil.core import SpecError
 
 if TYPE_CHECKING:
     from hil.spec import Draft
 
-NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 USUAL_ROBOT = "ur5"
 URDF = "own-urdf"
 DRIVER = {"driver": "a robot driver of your own with its test: three files in a folder"}
 
-
-def register(app: typer.Typer) -> None:
-    """Add this group's verbs."""
-    app.command()(new)
+app = typer.Typer()
 
 
+@app.command()
 def new(
     kind: Annotated[str, typer.Argument(help="What to begin; by default all are listed.")] = "",
     file: Annotated[
@@ -49,11 +47,16 @@ def new(
     from hil.core import did_you_mean
     from hil.spec import DRAFT_KINDS, drafts
 
+    kinds = DRAFT_KINDS | DRIVER
     if list_ or not kind:
-        _list(DRAFT_KINDS | DRIVER, json)
+        if json:
+            print_json({"kinds": [{"kind": one, "what": what} for one, what in kinds.items()]})
+        else:
+            print_table(("kind", "what it is"), kinds.items())
+            say("hil new KIND [FILE] writes one")
         return
-    if kind not in DRAFT_KINDS | DRIVER:
-        raise SpecError(f"hil new makes no {kind!r}", hint=did_you_mean(kind, DRAFT_KINDS | DRIVER))
+    if kind not in kinds:
+        raise SpecError(f"hil new makes no {kind!r}", hint=did_you_mean(kind, kinds))
     if (kind == URDF) != (urdf is not None):
         raise SpecError(
             f"hil new {URDF} needs --urdf ARM.urdf, and nothing else takes it",
@@ -61,7 +64,8 @@ def new(
         )
     if kind in DRIVER:
         file = file or Path(name or "my-arm")
-        _new_driver(out / file.parent, name or file.name, json)
+        files, commands = _write_driver(out / file.parent, name or file.name)
+        _print(kind, files, commands, [], json)
         return
     robot = urdf.stem if urdf is not None and robot == USUAL_ROBOT else robot
     usual = {"station": "", URDF: robot}.get(kind, f"{robot}-{kind}")
@@ -83,34 +87,28 @@ def new(
     else:
         made = drafts(kind, path, robot=robot, name=name)
         notes = _unknown_robot(path, robot)
-    files = _write(made)
-    _tell(kind, files, commands, notes, json)
+    _print(kind, _write(made), commands, notes, json)
 
 
-def _list(kinds: dict[str, str], json: bool) -> None:
-    if json:
-        print_json({"kinds": [{"kind": kind, "what": what} for kind, what in kinds.items()]})
-        return
-    print_table(("kind", "what it is"), kinds.items())
-    say("hil new KIND [FILE] writes one")
-
-
-def _new_driver(out: Path, name: str, json: bool) -> None:
+def _write_driver(folder: Path, name: str) -> tuple[list[Path], list[str]]:
+    """Write the files of a driver into a new folder; return them, and the next commands."""
     from hil.core import write_replacing
     from hil.testing import driver_files
 
-    folder = out / name
-    files = {folder / file: text for file, text in driver_files(name).items()}
-    if folder.exists():
+    new = folder / name
+    files = {new / file: text for file, text in driver_files(name).items()}
+    if new.exists():
         raise SpecError(
-            f"{folder} is there already; nothing was written", hint="give another --name or --out"
+            f"{new} is there already; nothing was written", hint="give another --name or --out"
         )
-    folder.mkdir(parents=True)
+    new.mkdir(parents=True)
     for path, text in files.items():
         write_replacing(path, text.encode())
-    at = shlex.quote(str(folder))
-    commands = [f"pip install -e {at}", f"pytest {at}", "hil plugins"]
-    _tell("driver", list(files), commands, [], json)
+    at = shlex.quote(str(new))
+    return list(files), [f"pip install -e {at}", f"pytest {at}", "hil plugins"]
+
+
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 
 
 def _require_name(option: str, name: str) -> None:
@@ -123,7 +121,7 @@ def _require_name(option: str, name: str) -> None:
 
 
 def _require_own_name(robot: str) -> None:
-    """Refuse the name of a built-in robot: where --station is left out that one would be taken."""
+    """Refuse the name of a built-in robot, which would be taken if --station is left out."""
     from hil.arms import arm_names
     from hil.planning import mock_bench
 
@@ -135,7 +133,7 @@ def _require_own_name(robot: str) -> None:
 
 
 def _model_of(robot: str) -> tuple[str, list[str]]:
-    """The arm of a station's robot, and what to say where its name is not that of one."""
+    """Return the arm of a station's robot, and a note if it is not that of the robot's name."""
     from hil.arms import arm_names
 
     if robot in arm_names():
@@ -147,51 +145,38 @@ def _model_of(robot: str) -> tuple[str, list[str]]:
 
 
 def _unknown_robot(path: Path, robot: str) -> list[str]:
-    """What to say where the station that a spec would run at has no such robot."""
+    """Return a note if the station at which a spec would run has no such robot."""
     from hil.core import did_you_mean
     from hil.planning import find_station
 
     station, _, source = find_station(path.resolve().parent)
     if robot in station.robots:
         return []
-    told = did_you_mean(robot, station.robots)
-    return [f"{source} has no robot {robot!r}; {told} (or name another --station when you run it)"]
+    guess = did_you_mean(robot, station.robots)
+    return [f"{source} has no robot {robot!r}; {guess} (or name another --station when you run it)"]
 
 
-def _write(made: "list[Draft]") -> list[Path]:
-    """Write all files or none, and the schemas that they name where there are none yet."""
+def _write(drafts: "list[Draft]") -> list[Path]:
+    """Write all files or none, and the schemas that they name if these are not there yet."""
     from hil.core import write_replacing
     from hil.spec import require_valid, schemas_beside
 
-    require_valid(made)
-    there = [str(draft.path) for draft in made if draft.path.exists()]
-    if there:
+    require_valid(drafts)
+    existing = [str(draft.path) for draft in drafts if draft.path.exists()]
+    if existing:
         raise SpecError(
-            f"{', '.join(there)}: there is such a file already; nothing was written",
+            f"{', '.join(existing)}: there is such a file already; nothing was written",
             hint="give another FILE, --name or --out",
         )
-    schemas = [draft for draft in schemas_beside(made) if not draft.path.exists()]
-    for draft in (*made, *schemas):
+    schemas = [draft for draft in schemas_beside(drafts) if not draft.path.exists()]
+    for draft in (*drafts, *schemas):
         draft.path.parent.mkdir(parents=True, exist_ok=True)
         write_replacing(draft.path, draft.text.encode())
-    return [draft.path for draft in (*made, *schemas)]
-
-
-def _tell(kind: str, files: list[Path], commands: list[str], notes: list[str], json: bool) -> None:
-    if json:
-        told = {"kind": kind, "files": [str(file) for file in files]}
-        print_json({**told, "next": commands, "notes": notes})
-        return
-    for file in files:
-        typer.echo(file)
-    for note in notes:
-        say(f"note: {note}")
-    typer.echo("next:")
-    for command in commands:
-        typer.echo(f"  {command}")
+    return [draft.path for draft in (*drafts, *schemas)]
 
 
 def _next(kind: str, file: Path) -> list[str]:
+    """Return the commands that follow."""
     path, folder = (shlex.quote(str(place)) for place in (file, file.parent))
     if kind == "station":
         return [f"hil new fourier --out {folder}", f"hil run SPEC --station {path}"]
@@ -202,6 +187,21 @@ def _next(kind: str, file: Path) -> list[str]:
             f"hil schedule simulate {path} 30min",
             f"hil schedule run {path}",
         ]
-    named = shlex.quote(str(file.with_name(f"{file.stem}-station.yaml")))
-    station = f" --station {named}" if kind == URDF else ""
+    station = ""
+    if kind == URDF:
+        station = f" --station {shlex.quote(str(file.with_name(f'{file.stem}-station.yaml')))}"
     return [f"hil {verb} {path}{station}" for verb in ("validate", "plan", "run")]
+
+
+def _print(kind: str, files: list[Path], commands: list[str], notes: list[str], json: bool) -> None:
+    if json:
+        names = [str(file) for file in files]
+        print_json({"kind": kind, "files": names, "next": commands, "notes": notes})
+        return
+    for file in files:
+        typer.echo(file)
+    for note in notes:
+        say(f"note: {note}")
+    typer.echo("next:")
+    for command in commands:
+        typer.echo(f"  {command}")

@@ -1,25 +1,22 @@
 """`hil try-out`: what a model is worth to a controller, on a simulated arm."""
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hil.cli.models import ModelArgument, found_model
-from hil.cli.output import JsonFlag, RunsOption, fold, print_json, width_of
+from hil.cli.options import JsonFlag, ModelArgument, RunsOption
+from hil.cli.output import print_json, print_warnings, say
 from hil.control import FRICTION_SHARE, MOST_SEED
 from hil.core import Rejected
 
 if TYPE_CHECKING:
     from hil.control import Trial
 
-
-def register(app: typer.Typer) -> None:
-    """Add this group's verb."""
-    app.command("try-out")(try_out)
+app = typer.Typer()
 
 
+@app.command("try-out")
 def try_out(
     model: ModelArgument,
     out: Annotated[
@@ -51,21 +48,20 @@ def try_out(
 ) -> None:
     """Drive a simulated arm by torque with and without a model: tracking, and leading by hand."""
     from hil import api
+    from hil.cli.progress import MovingLine
+    from hil.runs import find_model
 
-    def told(text: str) -> None:
-        if sys.stderr.isatty():
-            typer.echo(text, err=True)
-
-    trial = api.try_out(
-        found_model(model, runs),
-        out,
-        station=station,
-        robot=robot or None,
-        payload=payload or None,
-        seed=seed,
-        friction_share=friction_share,
-        progress=told,
-    )
+    with MovingLine() as line:
+        trial = api.try_out(
+            find_model(model, runs),
+            out,
+            station=station,
+            robot=robot or None,
+            payload=payload or None,
+            seed=seed,
+            friction_share=friction_share,
+            progress=line.show,
+        )
     if json:
         print_json({"report": str(out / "report.html"), **trial.to_dict()})
     else:
@@ -74,20 +70,18 @@ def try_out(
 
 
 def _print(trial: "Trial", report: Path) -> None:
-    """Where everything is, and what a reader must know; all tables are on the page."""
+    """Print where the page is, which has all tables, and what a reader must know."""
     from hil.control import found
 
-    width = width_of(sys.stdout)
-    told = found(trial)
-    for warning in told.warnings:
-        typer.echo(fold(f"warning: {warning}", width))
+    result = found(trial)
+    print_warnings(result.warnings)
     typer.echo(f"report: {report}")
-    for text in told.summary:
-        typer.echo(fold(text, width))
+    for text in result.summary:
+        say(text)
 
 
 def _require_met(trial: "Trial") -> None:
-    """End with the exit code of a bad result when the model missed a criterion.
+    """End with the exit code of a bad result if the model missed a criterion.
 
     Raises:
         Rejected: It has.
@@ -95,8 +89,8 @@ def _require_met(trial: "Trial") -> None:
     from hil.control import judged
 
     if missed := [criterion for criterion in judged(trial) if not criterion.met]:
-        asked = ", and ".join(criterion.asked for criterion in missed)
         raise Rejected(
-            f"{trial.estimator} missed what it is held to: {asked}",
+            f"{trial.estimator} missed what it is held to: "
+            f"{', and '.join(criterion.asked for criterion in missed)}",
             hint="; ".join(dict.fromkeys(criterion.mend for criterion in missed)),
         )

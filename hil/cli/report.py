@@ -1,0 +1,60 @@
+"""`hil report` and `hil figures`: what a run has shown, as a page and as files for papers."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hil.cli.options import JsonFlag, RunArgument, RunsOption
+from hil.cli.output import print_json
+
+app = typer.Typer()
+
+
+@app.command()
+def report(
+    run: RunArgument,
+    runs: RunsOption = Path("runs"),
+    json: JsonFlag = False,
+) -> None:
+    """Write (again) the HTML report of a run, or the overview of a series."""
+    from hil.recording import SeriesGroup
+    from hil.report import render_report, render_series
+    from hil.runs import find_run
+
+    path = find_run(run, runs)
+    page = render_series(path) if SeriesGroup.is_at(path) else render_report(path)
+    if json:
+        print_json({"run": str(path), "report": str(page)})
+    else:
+        typer.echo(str(page))
+
+
+@app.command()
+def figures(
+    run: Annotated[
+        str, typer.Argument(help="Run (directory, name or number), or an HTML page that hil wrote.")
+    ],
+    out: Annotated[Path, typer.Option("-o", "--out", help="Folder for the files.")],
+    formats: Annotated[
+        list[str] | None,
+        typer.Option("--format", "-f", help="pdf (default), svg or png; repeat for several."),
+    ] = None,
+    width: Annotated[
+        str, typer.Option("--width", help="column (88 mm) or page (181 mm).")
+    ] = "column",
+    runs: RunsOption = Path("runs"),
+    json: JsonFlag = False,
+) -> None:
+    """Write the figures of a run or a page, and tables of studies, as files for papers."""
+    from hil import api
+    from hil.runs import find_run
+
+    page = Path(run)
+    path = page if page.suffix == ".html" and page.is_file() else find_run(run, runs)
+    files = api.figures(path, out, formats=tuple(formats or ("pdf",)), width=width)
+    if json:
+        print_json({"run": str(path), "files": [str(file) for file in files]})
+        return
+    for file in files:
+        typer.echo(str(file))
