@@ -272,7 +272,11 @@ def test_what_a_fit_needs_is_said_only_where_it_is_lacking():
 
 @pytest.mark.parametrize(
     ("option", "says"),
-    [(["--for", "60"], "no duration"), (["--for", "3kg"], "no duration"), (["--until", "x"], "x")],
+    [
+        (["--for", "60"], "must be a duration"),
+        (["--for", "3kg"], "must be a duration"),
+        (["--until", "x"], "x"),
+    ],
 )
 def test_the_command_refuses_what_is_no_end(option, says):
     result = CliRunner().invoke(app, ["record", "--robot", "ur5", *option])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hil.dynamics import coulomb_viscous_columns, friction_terms, joint_columns
+from hil.dynamics import friction_terms, joint_columns
 
 QD = np.array([[0.5, -0.002], [0.0, -1.0], [0.01, 0.3]])
 
@@ -23,7 +23,7 @@ def test_width_zero_is_the_hard_sign():
 def test_columns_times_coefficients_is_the_friction_law_of_each_joint():
     fc, fv, f0 = np.array([3.0, 5.0]), np.array([7.0, 11.0]), np.array([0.1, -0.2])
     expected = fc * np.tanh(QD / 0.02) + fv * QD + f0
-    columns = coulomb_viscous_columns(QD, sign_width=0.02)
+    columns = joint_columns(friction_terms(QD, sign_width=0.02))
     assert columns.shape == (6, 6)
     coefficients = np.stack([fc, fv, f0], axis=1).ravel()  # joint by joint
     np.testing.assert_allclose(columns @ coefficients, expected.ravel())

@@ -7,7 +7,7 @@ from synthetic_motion import COULOMB, GAINS, LOAD, OFFSET, VISCOUS, moving, nomi
 
 from hil.core.errors import FitError, SpecError
 from hil.data.dataset import Dataset
-from hil.dynamics import base_parameters, coulomb_viscous_columns
+from hil.dynamics import base_parameters, friction_terms, joint_columns
 from hil.dynamics.inertial import pseudo_inertia
 from hil.estimators import estimator, load_model_file
 from hil.estimators.friction_curve import power_of_speed
@@ -69,7 +69,8 @@ def test_a_model_file_predicts_and_tells_what_the_model_does(fitted, key, tmp_pa
 def stacked(data):
     base = base_parameters(nominal(), rotor=True)
     W = base.reduce(nominal().regressor(data["q_f"], data["qd_f"], data["qdd_f"]))
-    return np.hstack([W, coulomb_viscous_columns(data["qd_f"])]), (data["effort_f"] * GAINS).ravel()
+    friction = joint_columns(friction_terms(data["qd_f"]))
+    return np.hstack([W, friction]), (data["effort_f"] * GAINS).ravel()
 
 
 def test_wls_and_its_hac_errors_are_those_of_statsmodels(data, fitted) -> None:

@@ -20,7 +20,7 @@ from hil.core.errors import DataError, FitError
 from hil.data.dataset import Dataset
 from hil.data.filters import FilterSettings, prepare
 from hil.data.splits import assert_disjoint, groups
-from hil.dynamics import base_parameters, coulomb_viscous_columns
+from hil.dynamics import base_parameters, friction_terms, joint_columns
 from hil.estimators.base import GROUP
 from hil.studies import dynamic_methods
 from hil.studies.base import study
@@ -97,7 +97,8 @@ def test_honest_least_squares_is_that_of_scikit_learn(data: Dataset) -> None:
     def rows(part: Dataset) -> tuple[np.ndarray, np.ndarray]:
         motion = [part[name] for name in ("q_f", "qd_f", "qdd_f")]
         W = base.reduce(nominal().regressor(*motion))
-        return np.hstack([W, coulomb_viscous_columns(motion[1], SIGN_WIDTH)]), part["effort_f"]
+        friction = joint_columns(friction_terms(motion[1], SIGN_WIDTH))
+        return np.hstack([W, friction]), part["effort_f"]
 
     def of(part: Dataset) -> Dataset:
         return filtered.select(lambda c: c.id in {x.id for x in part.conditions})

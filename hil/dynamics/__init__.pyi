@@ -15,7 +15,6 @@ from .collision import least_along as least_along
 from .collision import payload_capsule as payload_capsule
 from .dh_from_urdf import Described as Described
 from .dh_from_urdf import described as described
-from .friction import coulomb_viscous_columns as coulomb_viscous_columns
 from .friction import friction_terms as friction_terms
 from .friction import joint_columns as joint_columns
 from .inertial import PARAMETERS as PARAMETERS

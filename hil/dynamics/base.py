@@ -66,15 +66,12 @@ class BaseParameters:
         return len(self.independent)
 
     @classmethod
-    def from_regressor(
-        cls, W: FloatArray, names: Sequence[str], tol: float = TOLERANCE
-    ) -> BaseParameters:
+    def from_regressor(cls, W: FloatArray, names: Sequence[str]) -> BaseParameters:
         """The base parameters of a regressor sampled all over the workspace.
 
         Args:
             W: (M, p) with at least p rows.
             names: Length p.
-            tol: Relative size below which a pivot counts as zero.
 
         Raises:
             FitError: `W` is too short, not finite or zero, or its rank depends on the order of its
@@ -82,14 +79,14 @@ class BaseParameters:
         """
         _require_usable(W, names)
         length = np.linalg.norm(W, axis=0)
-        scale = np.where(length > tol * length.max(), length, np.inf)
+        scale = np.where(length > TOLERANCE * length.max(), length, np.inf)
         R = scipy.linalg.qr(W / scale, mode="r")[0][: W.shape[1]]
-        rank = int(np.sum(_pivots(R) > tol))
-        independent = _leftmost(R, tol)
+        rank = int(np.sum(_pivots(R) > TOLERANCE))
+        independent = _leftmost(R)
         if len(independent) != rank:
             raise FitError(
                 f"the regressor's rank is not clear: {rank} pivoted, {len(independent)} in order",
-                hint="sample more of the workspace, or choose another tolerance",
+                hint="sample more of the workspace",
             )
         dependent = np.setdiff1d(np.arange(W.shape[1]), independent)
         K = np.linalg.lstsq(R[:, independent], R[:, dependent], rcond=None)[0]
@@ -133,7 +130,7 @@ def _pivots(R: FloatArray) -> FloatArray:
     return np.asarray(pivots / pivots[0])
 
 
-def _leftmost(R: FloatArray, tol: float) -> IntArray:
+def _leftmost(R: FloatArray) -> IntArray:
     """Indices of the columns that are independent of those to their left.
 
     Columns have length 1 or 0; what is left of one after projecting out the basis is its pivot.
@@ -144,7 +141,7 @@ def _leftmost(R: FloatArray, tol: float) -> IntArray:
         rest = column - basis @ (basis.T @ column)
         rest -= basis @ (basis.T @ rest)  # twice is enough (Kahan)
         size = np.linalg.norm(rest)
-        if size > tol:
+        if size > TOLERANCE:
             kept.append(i)
             basis = np.column_stack([basis, rest / size])
     return np.array(kept, dtype=np.int64)

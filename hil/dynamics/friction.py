@@ -32,13 +32,3 @@ def joint_columns(terms: Mapping[str, FloatArray]) -> FloatArray:
     diagonal = np.arange(joints)
     columns[:, diagonal, diagonal] = stacked
     return columns.reshape(samples * joints, joints * k)
-
-
-def coulomb_viscous_columns(qd: FloatArray, sign_width: float = 0.01) -> FloatArray:
-    """(N·n, 3·n) columns `coulomb`, `viscous`, `offset` of joint 1, then those of joint 2.
-
-    Args:
-        qd: (N, n) joint velocities [rad/s].
-        sign_width: See `friction_terms`.
-    """
-    return joint_columns(friction_terms(qd, sign_width))

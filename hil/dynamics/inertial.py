@@ -98,10 +98,6 @@ def skew(v: FloatArray) -> FloatArray:
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
-COORDINATES = ("alpha", "d1", "d2", "d3", "s12", "s23", "s13", "t1", "t2", "t3")
-"""Order of θ: α, the logarithms of the diagonal, the upper triangle, the centre of mass [m]."""
-
-
 def pseudo_inertia(parameters: FloatArray) -> FloatArray:
     """(…, 4, 4) pseudo-inertias J of parameters (…, 10)."""
     m, mx, my, mz, xx, xy, yy, xz, yz, zz = np.moveaxis(np.asarray(parameters, float), -1, 0)
@@ -163,6 +159,8 @@ _UPPER = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
 
 def to_coordinates(parameters: FloatArray) -> FloatArray:
     """(…, 10) log-Cholesky coordinates θ of consistent parameters.
+
+    Order of θ: α, d1, d2, d3, s12, s23, s13, and the centre of mass t1, t2, t3 [m].
 
     Raises:
         FitError: A pseudo-inertia is not positive definite, so that it has no such coordinates.

@@ -597,7 +597,6 @@ class LeastDistance:
         name: Shown when it trips.
         measured: The distances, from measured joint positions.
         least_m: Least distance [m].
-        action: What a trip does.
         shown: What is watched, for people; by default the least distance.
 
     Attributes:
@@ -610,11 +609,10 @@ class LeastDistance:
         measured: Distances,
         least_m: float,
         *,
-        action: Action = "stop",
         shown: str = "",
     ) -> None:
         self.name = name
-        self.action = action
+        self.action: Action = "stop"
         self.watches = shown or f"{1e3 * least_m:.4g} mm"
         self.computed = 0
         # `margin` is asked on another thread and needs distances of its own.

@@ -78,21 +78,15 @@ class FoxgloveLive:
         robot: Joint names, rate and units: `Robot.capabilities`.
         host: Address to listen on. The protocol knows no passwords: whoever reaches it can watch.
         port: TCP port, 0 for any; None for 8765 or, where that is taken, one of the next nine.
-        name: Shown by viewers.
     """
 
     wants_rows = True
 
     def __init__(
-        self,
-        robot: Capabilities,
-        *,
-        host: str = LOOPBACK,
-        port: int | None = None,
-        name: str = "hil",
+        self, robot: Capabilities, *, host: str = LOOPBACK, port: int | None = None
     ) -> None:
         self._topics = RobotTopics(robot)
-        self._host, self._port, self._name = host, port, name
+        self._host, self._port = host, port
         self._decimation = Decimation()
         self._standing = Standing()
         # The server holds its context weakly: without this one it would advertise nothing.
@@ -216,7 +210,7 @@ class FoxgloveLive:
         for port in ports:
             try:
                 server: WebSocketServer = sdk.start_server(
-                    name=self._name, host=self._host, port=port, context=context
+                    name="hil", host=self._host, port=port, context=context
                 )
             except RuntimeError as error:
                 refusal = error
@@ -310,27 +304,23 @@ AT_ONCE = 12
 
 
 class Decimation:
-    """Lets at most `rate_hz` rows a second of *wall* time through, spread over what came in.
+    """Lets at most `MAX_RATE_HZ` rows a second of *wall* time through, spread over what came in.
 
     A mock on a virtual clock delivers hundreds of blocks a second: most are turned away by one
     comparison.
 
     Args:
-        rate_hz: Rows a second of wall time [Hz].
         clock: Monotonic wall clock [s].
     """
 
-    def __init__(
-        self, rate_hz: float = MAX_RATE_HZ, clock: Callable[[], float] = time.monotonic
-    ) -> None:
-        self._rate_hz = rate_hz
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
         self._last = clock()
         self._allowed = 1.0
 
     def due(self) -> int:
         """Return how many rows may be shown now."""
-        return min(AT_ONCE, int(self._allowed + (self._clock() - self._last) * self._rate_hz))
+        return min(AT_ONCE, int(self._allowed + (self._clock() - self._last) * MAX_RATE_HZ))
 
     def select(self, rows: StructArray) -> tuple[StructArray, FloatArray]:
         """Select the rows to show, evenly spread and with the newest.
@@ -346,7 +336,7 @@ class Decimation:
         chosen = rows[(len(rows) - 1) % every :: every]
         now = self._clock()
         elapsed, self._last = now - self._last, now
-        self._allowed = min(AT_ONCE, self._allowed + elapsed * self._rate_hz) - len(chosen)
+        self._allowed = min(AT_ONCE, self._allowed + elapsed * MAX_RATE_HZ) - len(chosen)
         age = chosen["device_time"][-1] - chosen["device_time"]
         # The oldest comes after the newest of the last time: no viewer's time runs backwards.
         longest = elapsed * (1 - 1 / len(chosen))

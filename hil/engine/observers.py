@@ -28,15 +28,19 @@ class Observer(Protocol):
         """Take an event; called on the observer's own thread, one event at a time."""
 
 
+DEPTH = 256
+"""Events that may wait for one observer."""
+
+
 class ObserverThread:
     """Isolates one observer."""
 
-    def __init__(self, observer: Observer, depth: int = 256) -> None:
+    def __init__(self, observer: Observer) -> None:
         self._observer = observer
         self.wants_rows = bool(getattr(observer, "wants_rows", False))
         self._rows_every_s = float(getattr(observer, "rows_every_s", 0.0))
         self._next_rows = 0.0
-        self._events: queue.Queue[Event | None] = queue.Queue(depth)
+        self._events: queue.Queue[Event | None] = queue.Queue(DEPTH)
         self._thread = threading.Thread(target=self._run, name="observer", daemon=True)
         self.dropped = 0
         self.failure: BaseException | None = None

@@ -83,8 +83,7 @@ class Watchdog:
     Args:
         hung: Called once, on the watchdog's thread, when the loop has not come round in time.
         suspended: Called once, on the watchdog's thread, with the time for which the process did
-            not run [s], if that was longer than the limit.
-        limit_s: How long either may take.
+            not run [s], if that was longer than `HUNG_AFTER_S`.
         on: False to watch nothing: on a virtual clock nothing moves while nobody reads.
     """
 
@@ -93,12 +92,10 @@ class Watchdog:
         hung: Callable[[], object],
         suspended: Callable[[float], object] = lambda seconds: None,
         *,
-        limit_s: float = HUNG_AFTER_S,
         on: bool = True,
     ) -> None:
         self._hung = hung
         self._suspended = suspended
-        self._limit_s = limit_s
         self._presence = Presence()
         self._last = self._fed = self._presence.look()
         self._patient = False
@@ -110,18 +107,18 @@ class Watchdog:
         """Note that the loop has come round.
 
         Returns:
-            For how long the process did not run since the last time, if that was longer than the
-            limit [s], else 0. A call that was allowed to take long is not counted: the arm stood
-            still, and some libraries keep the interpreter to themselves.
+            For how long the process did not run since the last time, if that was longer than
+            `HUNG_AFTER_S` [s], else 0. A call that was allowed to take long is not counted: the
+            arm stood still, and some libraries keep the interpreter to themselves.
         """
         now = self._presence.look()
         gap = 0.0 if self._patient or not self._on else self._presence.longest_s(self._last)
         self._last, self._fed, self._patient = now, now, False
-        return gap if gap > self._limit_s else 0.0
+        return gap if gap > HUNG_AFTER_S else 0.0
 
     def be_patient(self, seconds: float) -> None:
         """Allow the next call so long, until the loop comes round; 0 when it is over before."""
-        self._last = self._presence.look() + max(0.0, seconds - self._limit_s)
+        self._last = self._presence.look() + max(0.0, seconds - HUNG_AFTER_S)
         self._patient = seconds > 0.0
 
     @property
@@ -154,15 +151,15 @@ class Watchdog:
         noted = False
         while not self._over.wait(TICK_S):
             late = self._presence.look() - self._last
-            if late <= self._limit_s:
+            if late <= HUNG_AFTER_S:
                 continue
             gap = self._presence.longest_s(self._last)
-            if late - self._presence.absent_s(self._last) > self._limit_s:
+            if late - self._presence.absent_s(self._last) > HUNG_AFTER_S:
                 self._presence.end()
                 with contextlib.suppress(Exception):  # nobody is there to hear of it
                     self._hung()
                 return
-            if gap > self._limit_s and not noted:
+            if gap > HUNG_AFTER_S and not noted:
                 noted = True
                 with contextlib.suppress(Exception):
                     self._suspended(gap)

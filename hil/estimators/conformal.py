@@ -114,17 +114,17 @@ class SpeedBands:
         where = range_numbers(np.abs(speeds), self.edges)
         return BandCoverage.of(inside, usable, where, self.half_widths, blocks, self.asked)
 
-    def to_arrays(self, prefix: str = "bands_") -> dict[str, FloatArray]:
+    def to_arrays(self) -> dict[str, FloatArray]:
         """For a model file."""
         return {
-            f"{prefix}coverage": np.array([self.asked]),
-            f"{prefix}edges": self.edges,
-            f"{prefix}half_widths": self.half_widths,
-            f"{prefix}guaranteed": self.guaranteed,
+            "bands_coverage": np.array([self.asked]),
+            "bands_edges": self.edges,
+            "bands_half_widths": self.half_widths,
+            "bands_guaranteed": self.guaranteed,
         }
 
     @classmethod
-    def from_arrays(cls, arrays: Mapping[str, FloatArray], prefix: str = "bands_") -> SpeedBands:
+    def from_arrays(cls, arrays: Mapping[str, FloatArray]) -> SpeedBands:
         """What `to_arrays` wrote.
 
         Raises:
@@ -132,7 +132,7 @@ class SpeedBands:
             ValueError: They do not go together, or hold what cannot be.
         """
         names = ("coverage", "edges", "half_widths", "guaranteed")
-        coverage, edges, half_widths, guaranteed = (arrays[prefix + name] for name in names)
+        coverage, edges, half_widths, guaranteed = (arrays[f"bands_{name}"] for name in names)
         bands = cls(float(coverage.item()), edges, half_widths, guaranteed)
         bands._require_sound()
         return bands

@@ -221,7 +221,6 @@ class InertialBounds:
         robot: RobotModel,
         *,
         mass_factor: float = MASS_FACTOR,
-        margin_m: float | None = None,
     ) -> InertialBounds:
         """Bounds from a robot's own inertial parameters and geometry.
 
@@ -232,13 +231,12 @@ class InertialBounds:
             robot: The nominal model.
             mass_factor: Most mass of a link as a multiple of its nominal one, or of a tenth of
                 the arm's where it is lighter; above 1.
-            margin_m: Width of the margin [m]; by default a tenth of the arm's reach.
         """
         bodies = robot.parameters(rotor=False).reshape(robot.n, len(PARAMETERS))
         known = bodies[:, 0] > 0
         next_joint = _next_joints(robot)
         reach = float(np.sum(np.linalg.norm(next_joint, axis=1))) or 1.0
-        margin = MARGIN_SHARE * reach if margin_m is None else margin_m
+        margin = MARGIN_SHARE * reach
         box = np.stack(
             [_box(body, end, margin) for body, end in zip(bodies, next_joint, strict=True)]
         )

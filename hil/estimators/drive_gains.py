@@ -539,7 +539,11 @@ def shows_controller(dataset: Dataset) -> bool:
     return dataset.effort_kind == "current" and set(NEEDED) <= dataset.columns.keys()
 
 
-def controller_gains(dataset: Dataset, sign_width: float = 0.01) -> ControllerGains:
+SIGN_WIDTH = 0.01
+"""Width w of the tanh that stands for sign(qd) [rad/s]."""
+
+
+def controller_gains(dataset: Dataset) -> ControllerGains:
     """Drive gains from the controller's own currents and torques, no load being known.
 
     A controller that computes the torque of the motion it commands (`torque_target`, from its model
@@ -556,7 +560,6 @@ def controller_gains(dataset: Dataset, sign_width: float = 0.01) -> ControllerGa
     Args:
         dataset: With the columns `effort_target` [A], `torque_target` [N·m] and `qd`; the arm
             has to move. Loads do not matter.
-        sign_width: Width of the tanh that stands for sign(qd) [rad/s].
 
     Raises:
         FitError: A column is missing, holds no numbers, or there are too few rows.
@@ -576,8 +579,8 @@ def controller_gains(dataset: Dataset, sign_width: float = 0.01) -> ControllerGa
             "them with numbers",
             hint="give recordings in which every joint moves",
         )
-    joints = [_controller_joint(data, j, sign_width) for j in range(data.n_joints)]
-    notes = _spread_notes(data, sign_width)
+    joints = [_controller_joint(data, j) for j in range(data.n_joints)]
+    notes = _spread_notes(data)
     return ControllerGains(
         joint_names=data.joint_names,
         gain=np.array([joint.gain for joint in joints]),
@@ -597,8 +600,8 @@ class _ControllerJoint(NamedTuple):
     reason: str = ""
 
 
-def _controller_joint(data: Dataset, j: int, sign_width: float) -> _ControllerJoint:
-    X, current = _columns(data, j, sign_width), data["effort_target"][:, j]
+def _controller_joint(data: Dataset, j: int) -> _ControllerJoint:
+    X, current = _columns(data, j), data["effort_target"][:, j]
     if np.ptp(X[:, 0]) == 0 or not np.any(current):
         return _ControllerJoint(reason="the controller asks for no torque or no current")
     line = weighted_least_squares(X, current)
@@ -618,21 +621,17 @@ def _controller_joint(data: Dataset, j: int, sign_width: float) -> _ControllerJo
     return _ControllerJoint(float(gain), float(error), share)
 
 
-def _columns(data: Dataset, j: int, sign_width: float) -> FloatArray:
-    friction = friction_terms(data["qd"], sign_width).values()
+def _columns(data: Dataset, j: int) -> FloatArray:
+    friction = friction_terms(data["qd"], SIGN_WIDTH).values()
     return np.column_stack([data["torque_target"][:, j], *(term[:, j] for term in friction)])
 
 
-def _spread_notes(data: Dataset, sign_width: float) -> Iterator[str]:
+def _spread_notes(data: Dataset) -> Iterator[str]:
     """A note for joints whose gain depends on which series one asks."""
     if len(data.conditions) < 2:
         return
     parts = [part for i in range(len(data.conditions)) if len(part := data.take([i])) >= LEAST_ROWS]
     for j, name in enumerate(data.joint_names):
-        gains = [
-            joint.gain
-            for part in parts
-            if not (joint := _controller_joint(part, j, sign_width)).reason
-        ]
+        gains = [joint.gain for part in parts if not (joint := _controller_joint(part, j)).reason]
         if len(gains) > 1 and np.ptp(gains) > MOST_SPREAD * np.mean(gains):
             yield f"{name}: series by series {min(gains):.2f} to {max(gains):.2f} N·m/A"

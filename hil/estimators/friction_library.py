@@ -469,12 +469,12 @@ def usual_temperatures(dataset: Dataset) -> FloatArray | None:
     return np.asarray(np.median(recorded, axis=0))
 
 
-def temperatures_vary(dataset: Dataset, least_k: float = 1.0) -> bool:
-    """Whether joint temperatures were recorded and changed by `least_k` or more in some joint."""
+def temperatures_vary(dataset: Dataset) -> bool:
+    """Whether joint temperatures were recorded and changed by 1 K or more in some joint."""
     celsius = dataset.columns.get("temperature")
     if celsius is None or not np.all(np.isfinite(celsius)) or not len(celsius):
         return False
-    return bool(np.max(np.ptp(celsius, axis=0)) >= least_k)
+    return bool(np.max(np.ptp(celsius, axis=0)) >= 1.0)
 
 
 def smoothed(

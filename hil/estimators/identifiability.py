@@ -121,7 +121,7 @@ class Essential:
 
 
 def essential_parameters(
-    X: FloatArray, y: FloatArray, names: Sequence[str], samples: float, level: float = LEVEL
+    X: FloatArray, y: FloatArray, names: Sequence[str], samples: float
 ) -> Essential:
     """Drop parameters that are noise: small, with large errors.
 
@@ -135,7 +135,6 @@ def essential_parameters(
         names: Length p.
         samples: How many independent observations there were: rows over their correlation time.
             The test is as strict as this number is honest.
-        level: Of the test.
     """
     from scipy.stats import f as fisher
 
@@ -152,7 +151,7 @@ def essential_parameters(
         smaller = _fit(R, remaining)
         lost = (smaller.squares - whole.squares) / (len(dropped) + 1)
         tested = float(fisher.sf(lost / (whole.squares / degrees), len(dropped) + 1, degrees))
-        if not tested >= level:
+        if not tested >= LEVEL:
             break
         left, fit, p_value = remaining, smaller, tested
         dropped.append(candidate)

@@ -50,23 +50,13 @@ class Progress:
 
     Attributes:
         start, starts: Number of the start at work, from 0, and of all starts.
-        iteration: Of this start.
-        value: Objective (−log det for `log_det`) at this start's best point within all limits so
-            far; infinite while there is none.
         best: At the best feasible point of all starts so far; infinite while there is none.
-        violation: Largest excess over a limit where it is: a share of a torque limit, or of 0.1 m
-            of clearance; the other limits are never exceeded.
-        elapsed_s: Time since the beginning.
         eta_s: Time that is probably left, None where nothing can be said yet.
     """
 
     start: int
     starts: int
-    iteration: int
-    value: float
     best: float
-    violation: float
-    elapsed_s: float
     eta_s: float | None
 
 
@@ -205,11 +195,7 @@ class _Tale:
             Progress(
                 start=self._number,
                 starts=self._starts,
-                iteration=search.iterations,
-                value=search.best_value,
                 best=min(self._best, search.best_value),
-                violation=search.violation,
-                elapsed_s=elapsed,
                 eta_s=elapsed * (1.0 - done) / done if done else None,
             )
         )
@@ -452,7 +438,6 @@ class Search:
         deadline: CPU time at which to end [s].
         best: Best point within all limits so far, None before the first one.
         best_value: The objective there; infinite before.
-        violation: Largest excess where it is.
         iterations: Steps so far.
         ended: Why the last stage ended.
     """
@@ -465,7 +450,6 @@ class Search:
     deadline: float = np.inf
     best: FloatArray | None = None
     best_value: float = np.inf
-    violation: float = np.inf
     iterations: int = 0
     ended: str = "iterations"
     _program: StepProgram = field(init=False)
@@ -514,7 +498,7 @@ class Search:
         if following is None:
             return None
         self._program.learn(proposal, point, following)
-        self.free, self.violation = following.free, following.violation
+        self.free = following.free
         self.iterations += 1
         self.told(self)
         return following

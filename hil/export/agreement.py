@@ -57,9 +57,9 @@ class Golden:
     residuals: FloatArray | None = None
 
 
-def golden_of(model: RobotEstimator, samples: int = SAMPLES, rate_hz: float = RATE_HZ) -> Golden:
+def golden_of(model: RobotEstimator, samples: int = SAMPLES) -> Golden:
     """Vectors of a fitted model, by its own stream."""
-    q, qd, qdd = motion(model.robot_, samples, rate_hz)
+    q, qd, qdd = motion(model.robot_, samples, RATE_HZ)
     q = jittered(q, qd)
     bare, loaded = (_streamed(model, q, qd, qdd, load) for load in (Payload(), LOAD))
     residuals = None

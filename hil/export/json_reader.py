@@ -161,11 +161,11 @@ def paper_gravity(document: Document, q: Array) -> Array:
     return out
 
 
-def of_joints(document: Document, word: str, otherwise: float = 0.0) -> Array:
-    """(n,) the parameter `joint.word` of every joint."""
+def of_joints(document: Document, word: str) -> Array:
+    """(n,) the parameter `joint.word` of every joint, 0 where there is none."""
     told = {one["name"]: one["value"] for one in document["parameters"]}
     names = [joint["name"] for joint in document["robot"]["joints"]]
-    return np.array([told.get(f"{name}.{word}", otherwise) for name in names])
+    return np.array([told.get(f"{name}.{word}", 0.0) for name in names])
 
 
 def torque_per_effort(document: Document) -> Array:

@@ -50,7 +50,6 @@ def build_plan(
     *,
     start_q: FloatArray | None = None,
     rate_hz: float | None = None,
-    folder: Path | None = None,
     watch: Watch = unwatched,
     part: Commissioning | None = None,
 ) -> Plan:
@@ -61,7 +60,6 @@ def build_plan(
         station_robot: The arm and what stands around it.
         start_q: (n,) where the robot stands now [rad]; by default the roomiest pose of its range.
         rate_hz: The robot's own rate; by default that of the arm's description.
-        folder: Where relative paths in the spec start; by default the working directory.
         watch: Is told how far trajectories are that take long to compute.
         part: For a commissioning run: what of the program, and how fast; None for all of it.
 
@@ -79,7 +77,7 @@ def build_plan(
         )
     workspace = workspace_of(spec, station_robot, arm, rate)
     here = None if start_q is None else np.asarray(start_q)
-    wanted = poses_of_file(spec.excitation, workspace, folder or Path())
+    wanted = poses_of_file(spec.excitation, workspace)
     roadmap = roadmap_of(workspace, wanted=wanted, start=here)
     start = roadmap.home if here is None else checked_start(here, roadmap)
     setting = setting_of(spec, station_robot, arm, workspace, watch=watch)
@@ -88,7 +86,7 @@ def build_plan(
     gravity = station_robot.gravity_m_s2
     weighing = weigh_visits(spec, arm, gravity, roadmap) if whole else ()
     reference = _default_reference(spec, roadmap) if whole and not dwells else None
-    program = program_of(spec, roadmap, setting, folder or Path())
+    program = program_of(spec, roadmap, setting)
     if whole and dwells:
         reference = _reference(spec, roadmap, program.visits[0].exit)
     arrangement = Arrangement(
@@ -242,23 +240,20 @@ def _complete(
     )
 
 
-def program_of(
-    spec: ExperimentSpec, roadmap: Roadmap, setting: Setting, folder: Path = Path()
-) -> Program:
+def program_of(spec: ExperimentSpec, roadmap: Roadmap, setting: Setting) -> Program:
     """What a spec wants to be measured.
 
     Args:
         spec: Says which excitation.
         roadmap: How to get about with every load of the spec.
         setting: The robot, for an excitation that computes with its dynamics.
-        folder: Where relative paths in the spec start.
 
     Raises:
         SpecError, PlanError: What the spec asks for cannot be.
         PluginError: The excitation is missing or does not load.
     """
     kind = plugins.load("hil.excitations", spec.excitation.kind)
-    excitation: Excitation = kind(spec.excitation, folder)
+    excitation: Excitation = kind(spec.excitation, Path())  # paths in a spec are absolute
     if isinstance(excitation, Computes):
         excitation.compute_with(setting)
     return excitation.program(roadmap)

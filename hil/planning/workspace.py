@@ -119,9 +119,7 @@ def _some_clear(workspace: Workspace, q: FloatArray) -> FloatArray:
     return np.array(chosen).reshape(len(chosen), q.shape[1])
 
 
-def poses_of_file(
-    excitation: Dwell | Fourier, workspace: Workspace, folder: Path
-) -> FloatArray | None:
+def poses_of_file(excitation: Dwell | Fourier, workspace: Workspace) -> FloatArray | None:
     """Return the poses (N, n) [rad] of the file that a program is read from; None without one.
 
     Raises:
@@ -129,7 +127,7 @@ def poses_of_file(
     """
     if not isinstance(excitation, Dwell) or excitation.file is None:
         return None
-    path = folder / excitation.file
+    path = Path(excitation.file)
     return read_waypoints(path, workspace.joint_names, excitation.stated_unit).q
 
 

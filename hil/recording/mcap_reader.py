@@ -90,8 +90,6 @@ class RecordingInfo:
         topics: Topic name → what it holds.
         metadata: Named records of text → text.
         attachments: Files carried along, by name.
-        start_time: Log time of the first message [s, Unix]; NaN when there is none.
-        end_time: Log time of the last message [s, Unix]; NaN when there is none.
     """
 
     path: Path
@@ -101,8 +99,6 @@ class RecordingInfo:
     topics: Mapping[str, TopicInfo]
     metadata: Mapping[str, Mapping[str, str]]
     attachments: Mapping[str, Attachment]
-    start_time: float
-    end_time: float
 
 
 def read_topic(path: Path, topic: str = STATE_TOPIC, *, salvage: bool = False) -> StructArray:
@@ -130,7 +126,6 @@ def read_info(path: Path) -> RecordingInfo:
     with _opened(path) as recording:
         layout = recording.layout
         names = sorted({channel.topic for channel in layout.channels.values()})
-        spans = [span for span in layout.chunks if span.last_ns]
         return RecordingInfo(
             path=recording.path,
             complete=not recording.tear,
@@ -142,8 +137,6 @@ def read_info(path: Path) -> RecordingInfo:
                 item.name: Attachment(item.name, item.media_type, item.data)
                 for item in layout.attachments
             },
-            start_time=min((span.first_ns for span in spans), default=np.nan) * 1e-9,
-            end_time=max((span.last_ns for span in spans), default=np.nan) * 1e-9,
         )
 
 

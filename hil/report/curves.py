@@ -166,21 +166,24 @@ def decimated(x: FloatArray, y: FloatArray, points: int = POINTS) -> tuple[Float
     return x[rows], y[rows]
 
 
+SUMMARISED = 300
+"""Points of a line that is summarised."""
+
+
 def summarised(
-    x: FloatArray, y: FloatArray, shown: Shown = "extremes", points: int = 300
+    x: FloatArray, y: FloatArray, shown: Shown = "extremes"
 ) -> tuple[FloatArray, FloatArray]:
-    """A line (N,), (N,) for a plot that holds several.
+    """A line (N,), (N,) for a plot that holds several, of `SUMMARISED` points unless `extremes`.
 
     Args:
         x: In order.
         y: What is drawn over it.
         shown: `extremes` keeps every one; `mean` is for slow, noisy quantities whose trend
             matters, `upper` for magnitudes, of which the largest matter.
-        points: Length of the result for `mean` and `upper`.
     """
-    if shown == "extremes" or len(x) <= 2 * points:
+    if shown == "extremes" or len(x) <= 2 * SUMMARISED:
         return decimated(x, y)
-    edges = np.linspace(0, len(x), points + 1).astype(np.int64)
+    edges = np.linspace(0, len(x), SUMMARISED + 1).astype(np.int64)
     start, width = edges[:-1], np.diff(edges)
     middle = np.add.reduceat(x, start) / width
     if shown == "mean":

@@ -186,15 +186,19 @@ def position_velocity_coverage(view: RunView) -> Figure:
     return Figure("coverage", "Position and velocity coverage", lead, panels, 0)
 
 
-def counted_grid(x: FloatArray, y: FloatArray, cells: int = 48) -> Grid:
+CELLS = 48
+"""Of a grid, along each axis."""
+
+
+def counted_grid(x: FloatArray, y: FloatArray) -> Grid:
     """Count finite (x, y), each (N,), in cells; empty ones are NaN."""
     good = np.isfinite(x) & np.isfinite(y)
     x, y = x[good], y[good]
     (x_low, x_high), (y_low, y_high) = span(x), span(y)
-    column = np.clip(((x - x_low) / (x_high - x_low) * cells).astype(np.int64), 0, cells - 1)
-    row = np.clip(((y - y_low) / (y_high - y_low) * cells).astype(np.int64), 0, cells - 1)
-    count = np.bincount(row * cells + column, minlength=cells * cells).reshape(cells, cells)
-    centre = (np.arange(cells) + 0.5) / cells
+    column = np.clip(((x - x_low) / (x_high - x_low) * CELLS).astype(np.int64), 0, CELLS - 1)
+    row = np.clip(((y - y_low) / (y_high - y_low) * CELLS).astype(np.int64), 0, CELLS - 1)
+    count = np.bincount(row * CELLS + column, minlength=CELLS * CELLS).reshape(CELLS, CELLS)
+    centre = (np.arange(CELLS) + 0.5) / CELLS
     return Grid(
         x_low + centre * (x_high - x_low),
         y_low + centre * (y_high - y_low),

@@ -40,14 +40,14 @@ SHORTLY = 0.12
 """Weeks after its probe at which a new champion is drawn."""
 
 
-def render_simulation(folder: Path, name: str = "report.html") -> Path:
+def render_simulation(folder: Path) -> Path:
     """Write the page of a simulation into its folder.
 
     Raises:
         DataError, RecordingError: The document cannot be read, or the page not be written.
         RegistryError: The registry of the simulation was changed.
     """
-    return write_page(simulation_page(folder), folder / name)
+    return write_page(simulation_page(folder), folder / "report.html")
 
 
 def simulation_page(folder: Path) -> Page:

@@ -65,7 +65,6 @@ class Trajectories:
         thinned: Its rows that are kept.
         filters: As it was filtered and thinned, for estimators.
         scale: (n,) torque per unit of effort.
-        recorded_hz, kept_hz: Sample rates before and after.
         notes: What is not as in the paper.
     """
 
@@ -73,8 +72,6 @@ class Trajectories:
     thinned: Dataset
     filters: FilterSettings
     scale: FloatArray
-    recorded_hz: float
-    kept_hz: float
     notes: tuple[str, ...]
 
 
@@ -107,8 +104,7 @@ def trajectories_of(
     notes = [] if found == sum(OF_TWELVE) else [f"{found} trajectories; the paper has twelve"]
     if recorded < 0.99e3:
         notes.append(f"recorded at {recorded:.0f} Hz; the paper at 1000 Hz")
-    rates = (recorded, recorded / every)
-    return Trajectories(filtered, thinned, filters, torque_scale(data), *rates, tuple(notes))
+    return Trajectories(filtered, thinned, filters, torque_scale(data), tuple(notes))
 
 
 def highest_cutoff(data: Dataset, rate_hz: float) -> float:
