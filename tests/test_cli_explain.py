@@ -10,6 +10,7 @@ import yaml
 from typer.testing import CliRunner, Result
 
 from hil.cli.app import EXIT_CODES, app
+from hil.cli.explain import KINDS
 from hil.core import errors
 from hil.core.errors import HilError, SpecError
 from hil.spec.documentation import (
@@ -113,7 +114,7 @@ def test_every_exit_code_is_explained() -> None:
             document = json.loads(invoke("exit", str(error.exit_code), "--json").stdout)
             assert error.__name__ in [one["kind"] for one in document["errors"]]
     assert "InterlockTripped" in invoke("exit", "5").stdout
-    assert all(f"{code} " in invoke("exit").stdout for code in ("0", "11", "130"))
+    assert all(f"{code} " in invoke("exit").stdout for code in ("0", "1", "11", "130"))
     assert "11 registry" in EXIT_CODES
 
 
@@ -144,3 +145,18 @@ def test_a_slip_in_the_end_of_a_path_is_guessed(typed: str, meant: str) -> None:
     assert isinstance(error, SpecError)
     assert error.hint == f"did you mean {meant!r}?"
     assert told(meant)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_of_file_has_a_schema(kind: str) -> None:
+    assert json.loads(CliRunner().invoke(app, ["schema", kind]).stdout)["title"] == f"hil {kind}"
+
+
+def test_every_file_that_hil_explains_has_a_schema() -> None:
+    assert set(MODELS) < set(KINDS)
+
+
+def test_a_kind_without_a_schema_is_refused_with_a_guess() -> None:
+    error = CliRunner().invoke(app, ["schema", "fleat"]).exception
+    assert isinstance(error, SpecError)
+    assert error.hint == "did you mean 'fleet'?"

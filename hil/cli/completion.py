@@ -21,6 +21,7 @@ from typing import Annotated, Any, TypeAlias, get_args, get_origin, get_type_hin
 import typer
 from typer.models import ParameterInfo
 
+from hil.cli.explain import KINDS
 from hil.export import TARGETS
 
 Parameters: TypeAlias = Mapping[str, Any]
@@ -270,6 +271,7 @@ BY_COMMAND: dict[tuple[str, str], Words] = {
     ("gains", "method"): _words("auto", "known-loads", "controller"),
     ("payload", "friction"): _words("auto", "model", "offset", "scale"),
     ("report", "run"): _runs_and_series,
+    ("schema", "kind"): _words(*KINDS),
     ("new", "robot"): _arms,
     ("drift", "name"): _registered,
     ("run", "spec"): _motions,

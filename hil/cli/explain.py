@@ -1,13 +1,13 @@
 """`hil explain` and `hil schema`: what the keys of YAML files mean, and exit codes."""
 
 from collections.abc import Iterator
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import typer
 
 from hil.cli.options import JsonFlag
 from hil.cli.output import print_json, print_table, say
-from hil.core import HilError, SpecError
+from hil.core import HilError, SpecError, did_you_mean
 
 EXIT = "exit"
 CODES_PAGE = "docs/reference/cli.md, Exit codes"
@@ -107,14 +107,19 @@ def _kinds(error: type[HilError]) -> Iterator[type[HilError]]:
             yield from _kinds(below)
 
 
+KINDS = ("experiment", "station", "series", "schedule", "fleet", "map")
+"""Kinds of files that have a schema."""
+
+
 @app.command()
 def schema(
     kind: Annotated[
-        Literal["experiment", "station", "series", "schedule", "fleet", "map"],
-        typer.Argument(help="What kind of file it is of."),
+        str, typer.Argument(help=f"What kind of file it is of: {', '.join(KINDS)}.")
     ] = "experiment",
 ) -> None:
     """Print the JSON Schema of a spec, station, series, schedule, fleet or map, for editors."""
+    if kind not in KINDS:
+        raise SpecError(f"there is no schema of a {kind!r}", hint=did_you_mean(kind, KINDS))
     if kind == "map":
         from hil.importers import map_schema
 
