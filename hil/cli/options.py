@@ -24,7 +24,6 @@ JsonFlag = Annotated[bool, typer.Option("--json", help="Print one JSON document 
 RunsOption = Annotated[
     Path, typer.Option("--runs", envvar="HIL_RUNS", help="Where run directories are kept.")
 ]
-RUNS = Path("runs")
 
 RegistryOption = Annotated[
     Path,

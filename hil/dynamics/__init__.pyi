@@ -1,5 +1,4 @@
 from .base import BaseParameters as BaseParameters
-from .base import Conditioning as Conditioning
 from .base import base_parameters as base_parameters
 from .base import conditioning as conditioning
 from .base import log_condition as log_condition

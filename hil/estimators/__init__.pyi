@@ -30,7 +30,6 @@ from .diffnea_friction import FORMS as FORMS
 from .diffnea_friction import LEAST_SPEED as LEAST_SPEED
 from .drive_curve import has_current as has_current
 from .drive_gains import ControllerGains as ControllerGains
-from .drive_gains import DriveGains as DriveGains
 from .drive_gains import Gains as Gains
 from .drive_gains import calibrate_gains as calibrate_gains
 from .drive_gains import calibrated as calibrated

@@ -27,6 +27,5 @@ from .validation import seen_share as seen_share
 from .verdict import Criterion as Criterion
 from .verdict import Judged as Judged
 from .verdict import Verdict as Verdict
-from .verdict import VerdictRow as VerdictRow
 from .verdict import judge as judge
 from .verdict import judged_model as judged_model

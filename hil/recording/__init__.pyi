@@ -1,7 +1,6 @@
 from .events import EventLog as EventLog
 from .events import read_events as read_events
 from .mcap_reader import RecordingInfo as RecordingInfo
-from .mcap_reader import TopicInfo as TopicInfo
 from .mcap_reader import read_info as read_info
 from .mcap_reader import read_topic as read_topic
 from .mcap_reader import recorded_s as recorded_s

@@ -38,13 +38,11 @@ from .operator import ConsoleOperator as ConsoleOperator
 from .operator import Desk as Desk
 from .operator import console_desk as console_desk
 from .operator import prompts_of as prompts_of
-from .passive_recording import PassiveResult as PassiveResult
 from .passive_recording import RecordingRequest as RecordingRequest
 from .passive_recording import record_passively as record_passively
 from .preview import WITHOUT_THE_ROBOT as WITHOUT_THE_ROBOT
 from .preview import appraise_excitation as appraise_excitation
 from .preview import plan as plan
-from .preview import planned as planned
 from .preview import preview_experiment as preview_experiment
 from .recording import describe_robot as describe_robot
 from .recording import recorded_capabilities as recorded_capabilities
@@ -73,10 +71,8 @@ from .series import commissioning_of_series as commissioning_of_series
 from .series import load_series as load_series
 from .series import run_series as run_series
 from .studies import STUDY as STUDY
-from .studies import StudiesReport as StudiesReport
 from .studies import entries_for as entries_for
 from .studies import missing_studies as missing_studies
 from .studies import run_studies as run_studies
 from .studies import study as study
-from .studies import unwatched as unwatched
 from .trial import try_out as try_out
