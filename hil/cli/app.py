@@ -53,8 +53,8 @@ for file in FILES:
     app.add_typer(import_module(f"hil.cli.{file}").app)
 
 
-def _print_version(wanted: bool) -> None:
-    if wanted:
+def _print_version(version: bool) -> None:
+    if version:
         typer.echo(f"hil {hil.__version__}")
         raise typer.Exit
 

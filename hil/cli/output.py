@@ -221,7 +221,7 @@ def fold(text: str, width: int | None) -> str:
 def out_width() -> int | None:
     """Return the columns to print within; None in a pipe.
 
-    In a pipe $COLUMNS is nobody's wish: every Python that has loaded readline hands it down.
+    A pipe ignores $COLUMNS, which every Python that has loaded readline hands down.
     """
     return width_of(sys.stdout)
 

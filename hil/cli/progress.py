@@ -184,16 +184,16 @@ class ProgressLines:
 
     def _announce(self) -> None:
         """Confirm a request for a pause at once: the next checkpoint may be long off."""
-        asked = self._standing.prompt
-        if asked and self._line.moves:
-            return  # whoever asks says so, and asks again
+        question = self._standing.prompt
+        if question and self._line.moves:
+            return  # the console says so, and asks again
         before, self._pausing = self._pausing, self._standing.pausing
         if self._pausing and not before:
-            moment = "once the question is answered" if asked else "at the next checkpoint"
+            moment = "once the question is answered" if question else "at the next checkpoint"
             self._line.say(f"pausing {moment}: {self._pausing}")
 
     def _prompt(self, event: Event) -> None:
-        # On a terminal whoever asks prints the question; only the line must be out of its way.
+        # On a terminal the console prints the question; only the line must be out of its way.
         if event.get("answered_by"):
             self._line.say(f"{answer_words(event)}: {event.get('text', '')}")
         elif self._line.moves:
@@ -315,26 +315,26 @@ class TrainingLine(_Display):
         """Show it at once, in a pipe too: without it there would be nothing for minutes."""
         self._show(what)
 
-    def __call__(self, told: Told) -> None:
+    def __call__(self, epoch: Told) -> None:
         """Show it, if it is time to."""
         from hil.networks import sparkline
 
-        if not self._validation or told.epoch <= len(self._validation):
+        if not self._validation or epoch.epoch <= len(self._validation):
             self._validation = []
-            self._since = (time.monotonic(), told.epoch)
+            self._since = (time.monotonic(), epoch.epoch)
         # A training that is taken up again begins with a later epoch than the first.
-        missing = told.epoch - 1 - len(self._validation)
-        self._validation += [told.validation] * (missing + 1)
+        missing = epoch.epoch - 1 - len(self._validation)
+        self._validation += [epoch.validation] * (missing + 1)
         if not self._often.due():
             return
         parts = [
-            f"epoch {told.epoch}/{told.epochs}",
-            f"best {told.best:.4g}",
+            f"epoch {epoch.epoch}/{epoch.epochs}",
+            f"best {epoch.best:.4g}",
             sparkline(self._validation, self.CURVE),
         ]
-        if (left_s := self._left_s(told)) is not None:
+        if (left_s := self._left_s(epoch)) is not None:
             parts.append(f"≤ {duration(left_s)} left")
-        parts += [f"validation {told.validation:.4g}", f"loss {told.loss:.4g}", told.stage]
+        parts += [f"validation {epoch.validation:.4g}", f"loss {epoch.loss:.4g}", epoch.stage]
         self._show("  ".join(parts))
 
     def _show(self, text: str) -> None:
@@ -343,11 +343,11 @@ class TrainingLine(_Display):
         else:
             self._line.say(f"{self._fit}{text}")
 
-    def _left_s(self, told: Told) -> float | None:
+    def _left_s(self, epoch: Told) -> float | None:
         begin, first = self._since
-        if told.epoch == first:
+        if epoch.epoch == first:
             return None
-        return (time.monotonic() - begin) / (told.epoch - first) * (told.epochs - told.epoch)
+        return (time.monotonic() - begin) / (epoch.epoch - first) * (epoch.epochs - epoch.epoch)
 
 
 class StudyLine(_Display):
