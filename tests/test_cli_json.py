@@ -94,6 +94,14 @@ def empty(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+def test_every_file_with_verbs_is_listed() -> None:
+    folder = Path(command_line.__file__).parent
+    files = {
+        file.stem for file in folder.glob("*.py") if "\napp = typer.Typer(" in file.read_text()
+    }
+    assert files - {"app"} == set(command_line.FILES)
+
+
 def test_commands_without_json_are_known_and_why() -> None:
     assert {verb for verb, one in VERBS.items() if not has_json(one)} == set(WITHOUT_JSON)
 
