@@ -154,7 +154,7 @@ def _plan_series(
     ]
     rows.append(("together", "", *_amounts(total)))
     print_table(("experiment", "robot", "motion", "recording"), rows)
-    say(f"of motion alone; margins and pictures: hil plan {experiments[0].spec_source}")
+    typer.echo(f"of motion alone; margins and pictures: hil plan {experiments[0].spec_source}")
     for each, facts in zip(experiments, previews, strict=True):
         print_warnings(f"{each.spec.name}: {warning}" for warning in facts["warnings"])
 
