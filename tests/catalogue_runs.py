@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
 from pathlib import Path
 from typing import Any
+
+import pytest
 
 PAST_S = 1_700_000_000.0
 """When their files were changed last: long enough ago to be believed."""
@@ -71,3 +74,16 @@ def write_run(
         (run / "stop.json").write_text(json.dumps(told))
     settle(run)
     return run
+
+
+def close_folders(monkeypatch: pytest.MonkeyPatch, *closed: Path) -> None:
+    """Let nothing in these folders be looked at, as if they were another user's (mode 700)."""
+    stat = os.stat
+
+    def refusing(path: Any, *arguments: Any, **more: Any) -> os.stat_result:
+        real = None if isinstance(path, int) else Path(os.path.realpath(path))
+        if real is not None and not set(closed).isdisjoint(real.parents):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+        return stat(path, *arguments, **more)
+
+    monkeypatch.setattr(os, "stat", refusing)

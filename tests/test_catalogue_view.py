@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from catalogue_runs import settle, write_run
+from catalogue_runs import close_folders, settle, write_run
 
 from hil.core.lock_file import hold_run
 from hil.recording.run_directory import run_folders
 from hil.runs import catalogue
 from hil.runs.catalogue import FILE, find_runs
-from hil.runs.listing import facts_of
+from hil.runs.listing import facts_of, list_runs
 
 
 @pytest.fixture
@@ -182,6 +182,33 @@ def test_odd_documents_and_names_are_no_trouble(tmp_path: Path) -> None:
         first, second = find_runs(runs=tmp_path)
         assert (first["samples"], first["gaps"], first["arm"]) == (None, None, "")
         assert Path(second["run"]).name == named
+
+
+def test_folders_that_may_not_be_entered_keep_no_other_run_from_the_lists(
+    runs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot = runs / "2026-11-20" / "ur5"
+    (robot / "private").mkdir()
+    close_folders(monkeypatch, robot / "0001-fourier", robot / "private")
+    for _ in range(2):
+        entries = find_runs(runs=runs)
+        assert [one["status"] for one in entries] == ["damaged", "tripped", "interrupted"]
+        assert "Permission denied" in entries[0]["problem"]
+        assert [one["status"] for one in list_runs(runs)] == [one["status"] for one in entries]
+
+
+def test_a_document_that_may_not_be_read_says_nothing_and_all_others_do(
+    runs: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    run = runs / "2026-11-20" / "ur5" / "0001-fourier"
+    closed = tmp_path / "closed"
+    closed.mkdir()
+    (run / "start.json").rename(closed / "start.json")
+    (run / "start.json").symlink_to(closed / "start.json")
+    close_folders(monkeypatch, closed)
+    facts = facts_of(run)
+    assert (facts["name"], facts["status"]) == ("", "damaged")
+    assert [fit["estimator"] for fit in facts["fits"]] == ["rigid-wls", "static-wls"]
 
 
 def test_processes_may_ask_at_once(runs: Path) -> None:

@@ -11,6 +11,7 @@ import pytest
 
 pytest.importorskip("starlette", reason='the dashboard: pip install "hil[web]"')
 
+from catalogue_runs import close_folders
 from typer.testing import CliRunner
 from web_parts import dashboard, failing, run_in, seen
 
@@ -139,3 +140,13 @@ def test_a_run_that_cannot_be_understood_is_damaged_with_the_reason(
     html = seen(dashboard(lab), f"/runs/{run_in(lab).relative_to(lab / 'runs')}")
     assert "TypeError: odd &lt;b&gt;" in html
     assert "00.mcap" in html
+
+
+def test_a_run_of_another_user_that_may_not_be_entered_keeps_no_page_from_the_others(
+    lab: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = run_in(lab)
+    shutil.copytree(run, closed := run.with_name("0002-closed"))
+    close_folders(monkeypatch, closed)
+    for address in ("/", "/runs", f"/runs/{run.relative_to(lab / 'runs')}"):
+        seen(dashboard(lab), address)

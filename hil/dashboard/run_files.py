@@ -98,7 +98,7 @@ def require_run(name: str, settings: Settings) -> Path:
 
 def report_address(run: Path, settings: Settings) -> str:
     """Return the path of the report of a run; empty if it has none."""
-    there = (run / REPORT_FILE).is_file()
+    there = os.path.isfile(run / REPORT_FILE)  # False where the folder may not be entered
     return f"{run_address(run, settings)}/report" if there else ""
 
 

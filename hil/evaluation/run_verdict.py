@@ -111,12 +111,12 @@ def recording_rows(accept: Accept, counts: Mapping[str, int]) -> list[dict[str, 
 def verdict_word(run: Path) -> VerdictWord:
     """Return `passed`, `rejected` or `not judged`, as `verdict.json` of a run directory says.
 
-    A missing or damaged file says nothing.
+    A file that is missing, damaged or may not be read says nothing.
     """
     file = run / "verdict.json"
     try:
         document = read_json(file) if file.is_file() else {}
-    except DataError:
+    except (DataError, OSError):
         document = {}
     passed = document.get("passed")
     return _word(passed if isinstance(passed, bool) else None)
