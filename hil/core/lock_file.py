@@ -358,7 +358,12 @@ def hold_folder(
 
 
 def hold_run(run: Path) -> contextlib.AbstractContextManager[None]:
-    """Hold a run directory, from its first file to its last; `hold_folder` with its own error."""
+    """Hold a run directory while inside; it is live as long as it is held.
+
+    Raises:
+        DataError: Another process (or this one) holds it.
+        RecordingError: The lock cannot be written.
+    """
     return hold_folder(
         run,
         lambda holder: DataError(

@@ -185,7 +185,10 @@ def experiments_digest(experiments: Iterable[Experiment], speed: str = "", first
 
 
 def _arm_digest(model: str) -> str:
-    """Return that of its file as it is now; `model_sha256` is of what this process read once."""
+    """Return the SHA-256 of a custom robot's file as it is now, empty for a built-in arm.
+
+    `model_sha256` is of the content that this process has read, which may be older.
+    """
     if model in arm_names():
         return ""
     try:
@@ -423,7 +426,7 @@ def _notes(facts: PlanPreview, part: Commissioning | None) -> Iterator[str]:
 
 
 def _picture(plan: Plan) -> str:
-    """Return it as an image: no script in it runs, and its style stays its own."""
+    """Return the picture of a plan as a data URI: no script in it runs, no style leaves it."""
     data = base64.b64encode(picture_of(plan).encode()).decode()
     return f"data:image/svg+xml;base64,{data}"
 

@@ -65,7 +65,7 @@ def weighted_least_squares(
     p = design.shape[1] - 1
     triangle = upper_triangle(design if weight is None else design * np.sqrt(weight)[:, None])
     if not len(design) or not np.isfinite(triangle).all():
-        raise ValueError(f"least squares takes rows of finite numbers, not these {len(design)}")
+        raise ValueError(f"least squares needs rows of finite numbers; rows: {len(design)}")
     factor, target = triangle[:, :p], triangle[:, p]
     length = np.linalg.norm(factor, axis=0)
     length[length == 0] = 1.0

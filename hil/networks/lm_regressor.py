@@ -1,4 +1,4 @@
-"""[regressor] A network trained by Levenberg–Marquardt, with scikit-learn's contract."""
+"""A network trained by Levenberg–Marquardt, with scikit-learn's contract."""
 
 from __future__ import annotations
 
