@@ -391,7 +391,7 @@ def dwells_compared(view: ModelView) -> Figure | None:
 def dwell_curves(
     measured: FloatArray, predicted: FloatArray, approach: IntArray, pose: IntArray
 ) -> tuple[Curve, ...]:
-    """Dwells of one joint (D,) by rank of the prediction; `approach` as in `Dwells`."""
+    """Dwells of one joint (D,) by rank of the prediction; `approach` as in `DwellPredictions`."""
     order = np.argsort(predicted, kind="stable")
     rank = np.empty(len(order))
     rank[order] = np.arange(1, len(order) + 1)
