@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import re
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from report_runs import dwell_plan, write_run
 from study_parts import register
@@ -17,6 +19,7 @@ from hil.cli.app import app
 from hil.cli.output import table_lines
 from hil.cli.progress import ProgressLines, StudyLine
 from hil.core.errors import FitError, Stopped
+from hil.studies.figure import Curve, Figure, Grid, Panel
 from hil.studies.store import problem_files
 
 
@@ -67,6 +70,20 @@ def test_json_is_one_document_without_nan(run: Path) -> None:
     (study,) = document["studies"]
     assert study["parameters"]["rounds"] == 5
     assert Path(study["folder"], "study.json").is_file()
+
+
+def test_json_has_figures_of_arrays_as_study_json_has_them(
+    run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    grid = Grid(np.array([0.0, 1.0]), np.array([2.0, 3.0]), np.array([[math.nan, 0.5], [1.0, 2.0]]))
+    curve = Curve("measured", np.arange(3.0), np.array([1.0, math.nan, 2.0]))
+    panels = (Panel("J1", "t [s]", "i [A]", (curve,)), Panel("J2", "q", "i", (), grid=grid))
+    monkeypatch.setattr("study_parts.six_panels", lambda: Figure("fig-7", "All", "", panels))
+    done = CliRunner().invoke(app, ["study", str(run), "--json"])
+    assert done.exit_code == 0, done.exception
+    (study,) = json.loads(done.stdout)["studies"]
+    stored = json.loads(Path(study["folder"], "study.json").read_bytes())
+    assert study["parts"] == stored["parts"]
 
 
 def test_a_study_that_fails_is_an_exit_code_and_one_error(run: Path) -> None:

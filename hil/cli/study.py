@@ -8,7 +8,7 @@ import typer
 
 from hil.cli.options import JsonFlag, RunArgument, RunsOption
 from hil.cli.output import fail, print_json, print_table, say
-from hil.core import SpecError, Stopped
+from hil.core import SpecError, Stopped, json_value
 from hil.report import duration
 
 if TYPE_CHECKING:
@@ -90,7 +90,9 @@ def _make(path: Path, name: str, parameters: Mapping[str, Any], json: bool) -> N
         raise Stopped(message, hint=f"hil {verb} {path}", by_signal=True) from None
     page = render_report(path)
     if json:
-        studies = [{"folder": str(folder), **result.to_dict()} for folder, result in done.made]
+        studies = [
+            {"folder": str(folder), **json_value(result.to_dict())} for folder, result in done.made
+        ]
         print_json({"run": str(done.run), "report": str(page), "studies": studies})
     elif done.made or done.error is None:
         for folder, result in done.made:

@@ -105,7 +105,7 @@ class StudyResult:
         return card("Study", self.title, facts, notes=(*self.summary, *self.warnings))
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON form, but for NaN; `hil.core.json_document` makes those null."""
+        """JSON form, but for arrays and NaN; `hil.core.json_value` converts those."""
         return {
             "study": self.study,
             "title": self.title,
