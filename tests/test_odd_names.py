@@ -70,6 +70,11 @@ def test_every_text_can_be_a_document(text: str) -> None:
     utf8_text(text).encode()
 
 
+def test_a_set_is_written_in_one_order_whatever_the_hashes() -> None:
+    names = [f"joint {i:02d}" for i in range(30)]
+    assert json.loads(json_line({"columns": frozenset(names)})) == {"columns": names}
+
+
 @pytest.mark.parametrize("name", NAMES.values(), ids=NAMES)
 def test_a_shell_takes_the_word_for_the_name(name: str) -> None:
     bash = shutil.which("bash")

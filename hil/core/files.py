@@ -132,7 +132,8 @@ def json_document(value: Any) -> bytes:
 def json_value(value: Any) -> Any:
     """Return a value as strict JSON can hold it.
 
-    NaN and infinity become null, arrays and sets lists, settings their values; else it is `str`.
+    NaN and infinity become null, arrays and sets lists (sets in the order of their texts), settings
+    their values; else it is `str`.
     """
     if isinstance(value, (bool, int, str)) or value is None:
         return value
@@ -142,8 +143,10 @@ def json_value(value: Any) -> Any:
         return {str(key): json_value(item) for key, item in value.items()}
     if isinstance(value, (np.ndarray, np.generic)):
         return json_value(value.tolist())
-    if isinstance(value, (list, tuple, set, frozenset)):
+    if isinstance(value, (list, tuple)):
         return [json_value(item) for item in value]
+    if isinstance(value, (set, frozenset)):  # in one order: digests are taken of documents
+        return sorted((json_value(item) for item in value), key=str)
     # Settings of plug-ins are pydantic models.
     return json_value(value.model_dump()) if hasattr(value, "model_dump") else str(value)
 
