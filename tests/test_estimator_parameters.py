@@ -33,6 +33,17 @@ def test_parameters_beside_an_inherited_constructor_are_refused_too() -> None:
             gain: float = parameter(2.0, number, doc="Of the loop.")
 
 
+def test_parameters_of_a_mixin_beside_a_constructor_are_refused_too() -> None:
+    class Gain:
+        gain: float = parameter(2.0, number, doc="Of the loop.")
+
+    with pytest.raises(TypeError, match=r"Mixed declares gain .* constructor .*Mixed\.__init__"):
+
+        class Mixed(Gain, Parametrised):
+            def __init__(self, *, width: float = 1.0) -> None:
+                self.width = width
+
+
 def test_a_constructor_of_its_own_may_fix_parameters_of_a_base() -> None:
     class Declared(Parametrised):
         gain: float = parameter(2.0, number, doc="Of the loop.")

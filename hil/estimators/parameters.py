@@ -99,7 +99,11 @@ class Parametrised:
     @classmethod
     def _refuse_unread_parameters(cls) -> None:
         """Raise TypeError if the class declares parameters that its constructor does not read."""
-        ignored = [name for name, each in vars(cls).items() if isinstance(each, Parameter)]
+        # Of a base that is parametrised itself, the constructor may have fixed them.
+        own = [base for base in cls.__mro__ if base is cls or not issubclass(base, Parametrised)]
+        ignored = [
+            name for base in own for name, each in vars(base).items() if isinstance(each, Parameter)
+        ]
         if not ignored or cls.__init__ is Parametrised.__init__:
             return
         by = next(base.__qualname__ for base in cls.__mro__ if "__init__" in vars(base))
