@@ -28,8 +28,6 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from hil.core.errors import DataError, RecordingError
 from hil.core.text import json_text
 
@@ -141,7 +139,7 @@ def json_value(value: Any) -> Any:
         return float(value) if math.isfinite(value) else None
     if isinstance(value, Mapping):
         return {str(key): json_value(item) for key, item in value.items()}
-    if isinstance(value, (np.ndarray, np.generic)):
+    if hasattr(value, "tolist"):  # numpy's arrays and numbers, without loading numpy
         return json_value(value.tolist())
     if isinstance(value, (list, tuple)):
         return [json_value(item) for item in value]
