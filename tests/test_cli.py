@@ -304,9 +304,9 @@ def test_mistakes_of_the_command_line_are_json_too() -> None:
 @pytest.mark.parametrize(
     "arguments",
     [
-        ("plan", DWELL, "--picture", "/nonexistent/p.svg"),
-        ("plan", DWELL, "-o", "/nonexistent/plan.json"),
-        ("mock", "embedded", "--truth", "/nonexistent/truth.json"),
+        ("plan", DWELL, "--picture", "missing/p.svg"),
+        ("plan", DWELL, "-o", "missing/plan.json"),
+        ("mock", "embedded", "--truth", "missing/truth.json"),
         ("mock", "embedded", "--truth", "."),
     ],
 )
