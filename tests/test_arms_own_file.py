@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from hil.arms import model_sha256, require_same_arm
+from hil.arms import load_arm, model_sha256, require_same_arm
 from hil.arms.description import _parsed
-from hil.core.errors import DataError
+from hil.core.errors import DataError, SpecError
 
 pytestmark = pytest.mark.quick
 
@@ -104,6 +104,21 @@ def test_a_run_that_has_the_digest_of_the_bytes_needs_the_same_bytes(
     require_same_arm(now, Path("run"), "do without")
     with pytest.raises(DataError, match="describes another arm than when run was made"):
         require_same_arm(earlier, Path("run"), "do without")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "problem"),
+    [
+        ("mass_kg: ", "mass_kg: -", "must not be negative"),
+        ("mass_kg: 3.7", "mass_kg: .nan", "must be finite numbers"),
+        ("[0.0149724,", "[9.0149724,", "sum of the others"),
+    ],
+)
+def test_links_that_cannot_exist_are_refused(old: str, new: str, problem: str, arm: Path) -> None:
+    arm.write_text(arm.read_text("utf-8").replace(old, new, 1), "utf-8")
+    with pytest.raises(SpecError, match=problem) as caught:
+        load_arm(str(arm))
+    assert "shoulder" in caught.value.message
 
 
 def test_a_file_that_is_no_xml_counts_as_it_stands(tmp_path: Path) -> None:

@@ -47,8 +47,8 @@ def test_a_new_driver_is_formatted_as_this_project(driver: Path) -> None:
         assert done.returncode == 0, done.stdout
 
 
-@pytest.mark.parametrize("name", ["Lab", "lab_arm", "7arm", "a--b"])
-def test_names_that_are_no_module_are_refused(name: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["Lab", "lab_arm", "7arm", "a--b", "class", "json", "ur"])
+def test_names_that_cannot_be_a_driver_are_refused(name: str, tmp_path: Path) -> None:
     done = CliRunner().invoke(app, ["new", "driver", "--name", name, "--out", str(tmp_path)])
     assert isinstance(done.exception, SpecError)
 

@@ -181,6 +181,11 @@ def arm_from_dict(name: str, raw: dict[str, Any]) -> ArmDescription:
     degree = np.pi / 180
     dh = np.array([[j["a_m"], j["alpha_deg"], j["d_m"], j["theta_deg"]] for j in joints])
     dh[:, [1, 3]] *= degree
+    mass = np.array([link["mass_kg"] for link in links], dtype=np.float64)
+    inertia = np.array([_symmetric(link["inertia_kgm2"]) for link in links])
+    link_names = ("base", *(link.get("name", f"link {i}") for i, link in enumerate(links, 1)))
+    for link, m, about_com in zip(link_names[1:], mass, inertia, strict=True):
+        _require_possible(link, m, about_com)
     return ArmDescription(
         name=name,
         joint_names=tuple(joint["name"] for joint in joints),
@@ -192,9 +197,9 @@ def arm_from_dict(name: str, raw: dict[str, Any]) -> ArmDescription:
         effort_max=column("effort_max_nm"),
         excite_min=column("excite_min_deg", degree),
         excite_max=column("excite_max_deg", degree),
-        mass=np.array([link["mass_kg"] for link in links]),
+        mass=mass,
         com=np.array([link["com_m"] for link in links]),
-        inertia=np.array([_symmetric(link["inertia_kgm2"]) for link in links]),
+        inertia=inertia,
         gear_ratio=column("gear_ratio"),
         drive_gains=column("drive_gain_nm_a"),
         rate_hz=float(raw["rate_hz"]),
@@ -204,7 +209,7 @@ def arm_from_dict(name: str, raw: dict[str, Any]) -> ArmDescription:
             for c in raw["capsules"]
         ),
         sources=raw["sources"],
-        link_names=("base", *(link.get("name", f"link {i}") for i, link in enumerate(links, 1))),
+        link_names=link_names,
         joints_per_motor=np.array(raw.get("joints_per_motor", np.eye(len(joints))), np.float64),
         guessed=_words(raw.get("guessed", [])),
     )
@@ -219,6 +224,35 @@ def _words(raw: Any) -> tuple[str, ...]:
 def _symmetric(values: list[float]) -> FloatArray:
     xx, yy, zz, xy, xz, yz = values
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], dtype=np.float64)
+
+
+_ROUNDING = 1e-6
+"""How far rounded principal moments may be from possible ones, of the largest."""
+
+
+def _require_possible(link: str, mass: float, inertia: FloatArray) -> None:
+    """Raise if no distribution of mass has a link's mass and inertia.
+
+    Args:
+        link: Its name.
+        mass: [kg].
+        inertia: (3, 3) about the centre of mass [kg·m²].
+
+    Raises:
+        ValueError: The mass is negative, a principal moment of inertia is, or is larger than the
+            sum of the other two.
+    """
+    if not (np.isfinite(mass) and np.isfinite(inertia).all()):
+        raise ValueError(f"{link}: mass_kg and inertia_kgm2 must be finite numbers")
+    if mass < 0:
+        raise ValueError(f"{link}: mass_kg is {mass:g}, but must not be negative")
+    least, middle, largest = np.linalg.eigvalsh(inertia)
+    if least < -_ROUNDING * abs(largest) or least + middle < largest * (1 - _ROUNDING):
+        moments = ", ".join(f"{moment:.3g}" for moment in (least, middle, largest))
+        raise ValueError(
+            f"{link}: no body has the inertia_kgm2 that is given: its principal moments are "
+            f"{moments} kg·m², and none may be negative or larger than the sum of the others"
+        )
 
 
 # The file of a custom arm: has its content changed?

@@ -6,10 +6,12 @@ controller: who adapts it to a controller has a driver that keeps the contract a
 
 from __future__ import annotations
 
+import keyword
 import re
+import sys
 from importlib.resources import files
 
-from hil.core import SpecError
+from hil.core import SpecError, plugins
 
 _NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 
@@ -21,7 +23,8 @@ def driver_files(name: str) -> dict[str, str]:
         name: Of the driver, as stations will write it, such as `lab-arm`.
 
     Raises:
-        SpecError: It cannot be the name of a Python module as well.
+        SpecError: It cannot be the name of a Python module as well, or another module or driver
+            has it.
     """
     if not _NAME.fullmatch(name):
         raise SpecError(
@@ -29,6 +32,15 @@ def driver_files(name: str) -> dict[str, str]:
             hint="such as --name lab-arm",
         )
     module = name.replace("-", "_")
+    if keyword.iskeyword(module) or module in sys.stdlib_module_names:
+        raise SpecError(
+            f"--name {name!r}: Python itself uses that name", hint=f"such as --name {name}-arm"
+        )
+    if name in plugins.names("hil.drivers"):
+        raise SpecError(
+            f"--name {name!r}: there is a driver of that name already",
+            hint=f"such as --name {name}-2; hil plugins lists all drivers",
+        )
     class_name = "".join(part.capitalize() for part in name.split("-"))
     made = {
         "pyproject.toml": "driver-pyproject.txt",
