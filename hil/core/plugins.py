@@ -149,6 +149,8 @@ def find(group: str, name: str) -> EntryPoint:
     if not points:
         known = names(group)
         hint = did_you_mean(name, known) if known else "is hil installed, or just on the path?"
+        if hint.startswith("there is"):
+            hint += "; one of your own is there once its package is installed again"
         raise PluginError(f"there is no {_kind(group)} called {name!r}", hint=hint)
     if len({point.value for point in points}) > 1:
         claims = " and ".join(f"{_distribution(p)} ({p.value})" for p in points)
