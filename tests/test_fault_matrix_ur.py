@@ -38,7 +38,8 @@ def _fields() -> Iterator[Any]:
 def test_field_of_the_fault_matrix_over_the_wire(case: Case, tmp_path: Path) -> None:
     field = run_field(case, tmp_path)
     _keep(case, field)
-    told = "".join(path.read_text("utf-8")[-2000:] for path in tmp_path.glob("*/stderr.txt"))
+    errors = "".join(path.read_text("utf-8")[-2000:] for path in tmp_path.glob("*/stderr.txt"))
+    told = f"{field.message}; {errors}"
     ending = case.ending
     assert field.struck, f"the fault has never struck; {told}"
     assert (field.outcome, field.exit_code) == (ending.outcome, ending.exit_code), told
