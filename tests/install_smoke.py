@@ -34,7 +34,7 @@ NEEDS = {
     "mock": "hil mock ur --help",
     "ur": "from hil_drivers.ur.control import _library; _library('rtde_control')",
     "can": "from hil.core.plugins import load; load('hil.drivers', 'cia402')",
-    "ads": "from hil_drivers.twincat.reach import library; library()",
+    "ads": "from hil_drivers.twincat.ads import library; library()",
     "learn": "hil fit one.mcap -e lagrangian",
     "web": "hil serve --host nowhere.invalid",
 }

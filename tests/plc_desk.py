@@ -165,7 +165,7 @@ def on_the_desk(monkeypatch: pytest.MonkeyPatch) -> Iterator[Desk]:
         set_local_address=desk.local.append,
     )
     monkeypatch.setattr(lines, "library", lambda: library)
-    monkeypatch.setattr(controllers, "address_of", lambda _: "desk")
+    monkeypatch.setattr(controllers, "listening_address", lambda _: "desk")
     yield desk
 
 

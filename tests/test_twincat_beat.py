@@ -55,7 +55,7 @@ def test_a_lost_connection_ends_the_heartbeat_and_is_kept_as_the_reason() -> Non
 
 def test_a_hushed_heartbeat_writes_nothing_more() -> None:
     beat, counts = beaten(wanted=1)
-    beat.hush()
+    beat.silence()
     beat._thread.join(10.0)
     told = len(counts)
     assert not beat.alive

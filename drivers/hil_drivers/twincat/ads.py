@@ -1,9 +1,10 @@
-"""The line to a PLC: its variables as bytes, by ADS, with every failure told in plain words.
+"""Connections to a PLC by ADS: its variables as bytes, and plain errors for every failure.
 
-`pyads` brings its own router on Linux: no TwinCAT is needed here, only a route on the PLC back to
-this computer. Requests of one ADS port wait for each other, so what must not wait has a line of its
-own; all lines to one PLC share one TCP connection. `pyads` deletes the route to the PLC when any of
-them is closed: close all, then open anew.
+`listening_address` finds the PLC's ADS port by plain TCP, before anything of ADS is opened. `Line`
+is one ADS port of this computer. `pyads` brings its own router on Linux: no TwinCAT is needed here,
+only a route on the PLC back to this computer. Requests of one ADS port wait for each other, so
+requests that must not wait have a line of their own; all lines to one PLC share one TCP connection.
+`pyads` deletes the route to the PLC when any of them is closed: close all, then open anew.
 
 ADS return codes become errors of `hil` by what is to be done about them (`error_of`): a missing
 route, a runtime that does not run and a program that was changed online look alike in the library.
@@ -28,8 +29,44 @@ from hil.core import (
     RobotFault,
     RobotTimeout,
 )
+from hil_drivers.network import peer_of, reason
 from hil_drivers.twincat.options import Options
-from hil_drivers.twincat.reach import library
+
+CONNECTED_WITHIN_S = 3.0
+"""How long a TCP connection may take: the library itself waits for minutes [s]."""
+
+
+def listening_address(options: Options) -> str:
+    """Return host and port for `Line.open` if something listens there; no ADS is spoken.
+
+    Raises:
+        RobotConnectionError: Nothing listens there.
+    """
+    host, port = options.host
+    try:
+        return f"{peer_of(host, port, CONNECTED_WITHIN_S)}:{port}"
+    except OSError as error:
+        raise RobotConnectionError(
+            f"PLC {options.address}: nobody listens on port {port}: {reason(error)}",
+            hint="is it on, and is it this address? TwinCAT's ADS port 48898 must be open in its "
+            "firewall; the mock is started with: hil mock plc",
+        ) from error
+
+
+def library() -> Any:
+    """Return `pyads`.
+
+    Raises:
+        PluginError: It is not installed, or cannot be used here.
+    """
+    try:
+        import pyads
+    except (ImportError, OSError) as error:
+        raise PluginError(
+            f"the driver twincat needs pyads: {error}", hint='pip install "hil[ads]"'
+        ) from error
+    return pyads
+
 
 HANDLE_BY_NAME, VALUE_BY_HANDLE, RELEASE_HANDLE = 0xF003, 0xF005, 0xF006
 INFO_BY_NAME, SUM_READ = 0xF009, 0xF080
@@ -79,14 +116,14 @@ class Line:
 
     @property
     def where(self) -> str:
-        """For messages."""
+        """The PLC, for messages."""
         return f"PLC {self._options.address} (AMS {self._options.ams_net_id}:{self._options.port})"
 
     def open(self, address: str) -> None:
         """Connect.
 
         Args:
-            address: As `address_of` has found it.
+            address: As `listening_address` returns it.
 
         Raises:
             RobotConnectionError: Nothing listens there.
@@ -109,7 +146,7 @@ class Line:
         self._connection, self._answered = connection, False
 
     def close(self) -> None:
-        """Let go; idempotent."""
+        """Close the connection; idempotent."""
         connection, self._connection = self._connection, None
         if connection is not None:
             pyads = library()
@@ -119,18 +156,18 @@ class Line:
                 return
 
     def state(self) -> int:
-        """ADS state of the PLC's runtime; raises as `read`."""
-        with self._told("asked for its state"):
+        """Read the ADS state of the PLC's runtime; raises as `read`."""
+        with self._plain_errors("asked for its state"):
             return int(self._opened().read_state()[0])
 
     def device(self) -> str:
-        """Name and version of the PLC's runtime; raises as `read`."""
-        with self._told("asked for its name"):
+        """Read name and version of the PLC's runtime; raises as `read`."""
+        with self._plain_errors("asked for its name"):
             name, version = self._opened().read_device_info()
             return f"{name} {version.version}.{version.revision}.{version.build}"
 
     def place(self, name: str) -> Place:
-        """Where a variable is.
+        """Ask where a variable is.
 
         Args:
             name: Qualified.
@@ -141,7 +178,7 @@ class Line:
         """
         from pyads import constants, structs
 
-        with self._told(f"asked for {name}"):
+        with self._plain_errors(f"asked for {name}"):
             entry = self._opened().read_write(
                 INFO_BY_NAME, 0, structs.SAdsSymbolEntry, name,
                 constants.PLCTYPE_STRING, return_ctypes=True,
@@ -149,7 +186,7 @@ class Line:
             return Place(int(entry.iGroup), int(entry.iOffs), int(entry.size))
 
     def handle(self, name: str) -> Place:
-        """A variable to be written by its handle.
+        """Ask for a handle by which a variable is written.
 
         A PLC whose program was changed online refuses an old handle, where it would let an old
         offset change other memory.
@@ -161,7 +198,7 @@ class Line:
         from pyads import constants
 
         size = self.place(name).size
-        with self._told(f"asked for {name}"):
+        with self._plain_errors(f"asked for {name}"):
             handle = self._opened().read_write(
                 HANDLE_BY_NAME, 0, constants.PLCTYPE_UDINT, name,
                 constants.PLCTYPE_STRING,
@@ -173,17 +210,21 @@ class Line:
         self.write(Place(RELEASE_HANDLE, 0, 4), handle.offset.to_bytes(4, "little"))
 
     def version(self) -> int:
-        """Of the PLC's symbols: another one once its program was changed; raises as `read`."""
+        """Read the version of the PLC's symbols, which changes with its program.
+
+        Raises:
+            RobotError: As `read`.
+        """
         return self.read(VERSION)[0]
 
     def wait_for(self, timeout_s: float) -> None:
-        """From now on an answer may take so long [s]."""
+        """Set how long answers may take from now on [s]."""
         self._timeout_s = timeout_s
         if self._connection is not None:
             self._connection.set_timeout(max(1, round(timeout_s * 1000)))
 
     def read(self, place: Place, start: int = 0, size: int | None = None) -> bytes:
-        """Bytes of a variable.
+        """Read bytes of a variable.
 
         Args:
             place: Of the variable.
@@ -196,7 +237,7 @@ class Line:
             CommandRefused: It does not give them.
         """
         wanted = place.size - start if size is None else size
-        with self._told(f"read {wanted} bytes"):
+        with self._plain_errors(f"read {wanted} bytes"):
             data = self._opened().read(
                 place.group, place.offset + start, block(wanted), return_ctypes=True
             )
@@ -205,7 +246,7 @@ class Line:
     def read_versioned(
         self, place: Place, start: int = 0, size: int | None = None
     ) -> tuple[bytes, int]:
-        """Bytes of a variable and, read after them in the same request, the symbols' version.
+        """Read bytes of a variable and, after them in the same request, the symbols' version.
 
         Raises:
             RobotError: As `read`.
@@ -213,25 +254,25 @@ class Line:
         from pyads import structs
 
         wanted = place.size - start if size is None else size
-        asked = (Place(place.group, place.offset + start, wanted), VERSION)
-        parts = (structs.SAdsSumRequest * len(asked))(
-            *((each.group, each.offset, each.size) for each in asked)
+        requests = (Place(place.group, place.offset + start, wanted), VERSION)
+        parts = (structs.SAdsSumRequest * len(requests))(
+            *((each.group, each.offset, each.size) for each in requests)
         )
-        with self._told(what := f"read {wanted} bytes"):
-            told = bytes(
+        with self._plain_errors(what := f"read {wanted} bytes"):
+            answer = bytes(
                 self._opened().read_write(
-                    SUM_READ, len(asked), None, parts, None, return_ctypes=True
+                    SUM_READ, len(requests), None, parts, None, return_ctypes=True
                 )
             )
-        for code in np.frombuffer(told, "<u4", len(asked)).tolist():
+        for code in np.frombuffer(answer, "<u4", len(requests)).tolist():
             if code:
                 raise error_of_code(code, self.where, what)
-        return told[8:-1], told[-1]
+        return answer[8:-1], answer[-1]
 
     def write(self, place: Place, data: bytes, start: int = 0) -> None:
-        """Change bytes of a variable; raises as `read`."""
+        """Write bytes of a variable; raises as `read`."""
         kind = block(len(data))
-        with self._told(f"write {len(data)} bytes"):
+        with self._plain_errors(f"write {len(data)} bytes"):
             self._opened().write(
                 place.group, place.offset + start, kind.from_buffer_copy(data), kind
             )
@@ -243,8 +284,8 @@ class Line:
         return connection
 
     @contextmanager
-    def _told(self, what: str) -> Iterator[None]:
-        """Errors of the library as ours."""
+    def _plain_errors(self, what: str) -> Iterator[None]:
+        """Raise errors of the library as errors of `hil`."""
         pyads = library()
         try:
             yield
@@ -261,16 +302,16 @@ class Line:
 
 @cache
 def block(size: int) -> type[ctypes.Structure]:
-    """So many bytes as one value: `pyads` takes arrays apart, byte by byte."""
+    """Return a ctypes structure of so many bytes: `pyads` takes arrays apart, byte by byte."""
     return type(
         f"Block{size}", (ctypes.Structure,), {"_fields_": [("bytes", ctypes.c_ubyte * size)]}
     )
 
 
 def one(data: bytes, kind: np.dtype[Any]) -> np.void:
-    """The structure that bytes hold."""
-    found: np.void = np.frombuffer(data, kind)[0]
-    return found
+    """Return bytes as one structure."""
+    structure: np.void = np.frombuffer(data, kind)[0]
+    return structure
 
 
 NO_RUNTIME, NO_ROUTE = 6, 7
@@ -287,12 +328,12 @@ ASKED = "asked for "
 def error_of(
     error: Exception, where: str, what: str, *, timeout_s: float, answered: bool
 ) -> HilError:
-    """The error that tells what went wrong with a request.
+    """Return the error of `hil` for an error of `pyads`.
 
     Args:
         error: Of `pyads`.
         where: Which PLC.
-        what: Was asked for.
+        what: The request, in words.
         timeout_s: How long was waited [s].
         answered: Whether this PLC has ever answered: a missing route is no reason then.
     """
@@ -309,14 +350,14 @@ def error_of(
     )
 
 
-def error_of_code(code: int, where: str, what: str, said: str = "") -> HilError:
-    """The error for a return code that a PLC, or the router before it, has given.
+def error_of_code(code: int, where: str, what: str, library_text: str = "") -> HilError:
+    """Return the error for a return code of a PLC, or of the router before it.
 
     Args:
         code: Not 0.
         where: Which PLC.
-        what: Was asked for.
-        said: What the library says about it.
+        what: The request, in words.
+        library_text: The library's text for the code.
     """
     if code == NO_SYMBOL and what.startswith(ASKED):
         return PluginError(
@@ -342,12 +383,13 @@ def error_of_code(code: int, where: str, what: str, said: str = "") -> HilError:
     if code == NO_ROUTE:
         return RobotConnectionError(f"{where}: there is no route to it: {what}", hint=ROUTE)
     return CommandRefused(
-        f"{where}: {what}: {said or f'ADS return code {code:#x}'}", hint="see the PLC's log"
+        f"{where}: {what}: {library_text or f'ADS return code {code:#x}'}",
+        hint="see the PLC's log",
     )
 
 
 def changed_online(where: str) -> RobotFault:
-    """The error for a program whose variables are no longer where they were found."""
+    """Return the error for a program whose variables have moved in memory."""
     return RobotFault(
         f"{where}: its program was changed online: variables lie elsewhere now; the heartbeat has "
         "ended, so that the PLC's watchdog brings the arm to rest",
@@ -356,5 +398,5 @@ def changed_online(where: str) -> RobotFault:
 
 
 def text_of(error: Any) -> str:
-    """What the library says about it."""
+    """Return the text of an error of the library, on one line."""
     return str(getattr(error, "msg", None) or error).strip().rstrip(".")

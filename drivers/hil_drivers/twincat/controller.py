@@ -1,12 +1,13 @@
-"""A PLC that was taken: its variables, the commands to it, the stop, the heartbeat.
+"""The connection to one PLC: taking the arm, commands, stop and heartbeat.
 
-`Controller` has three lines to one PLC, because requests on a line wait for each other: one for
-everything, one for beats, one for stops. On them:
+`Controller` refuses a PLC that is not what the station says, then takes the arm. It has three lines
+to the PLC, because requests on a line wait for each other: one for beats, one for stops, one for
+everything else. On them:
 
-- `Orders` gives one command at a time. An answer says whose and which command it is to, so that an
-  old one, or that of another client, is never taken for it.
-- `Stops` counts in `nStop`, where any change is a stop: it needs no order and no answer, and can be
-  written by any thread. It looks whether the program shows that it has seen it.
+- `Orders` gives one command at a time. An answer names its client and its command, so that an old
+  answer, or one to another client, is never mistaken for it.
+- `Stops` counts up `nStop`, where any change is a stop: it needs no command and no answer, and any
+  thread may write it. It waits until the PLC's program shows that it has seen the stop.
 - `Beat` is the heartbeat: as long as it is written, the PLC lets the arm move. It is a thread that
   dies with this process, and is silenced when a stop does not get through.
 """
@@ -25,11 +26,26 @@ import numpy as np
 from hil.arms import Payload, load_arm
 from hil.core import CommandRefused, HilError, RobotConnectionError, RobotFault, RobotTimeout
 from hil.robot import Identity, Segment
-from hil_drivers.twincat.ads import Line
-from hil_drivers.twincat.facts import identity_of, require_fit, text
+from hil_drivers.network import is_ip, once_listening
+from hil_drivers.twincat.ads import Line, listening_address
 from hil_drivers.twincat.options import Options
-from hil_drivers.twincat.reach import address_of
-from hil_drivers.twincat.variables import REASONS, Layout, Order, Result, Variables, layout_of
+from hil_drivers.twincat.variables import (
+    CONTRACT,
+    CURRENT,
+    REASONS,
+    TORQUE,
+    Layout,
+    Order,
+    Result,
+    Variables,
+    layout_of,
+)
+
+CYCLE_SHARE = 1e-6
+"""Largest difference between the PLC's cycle and the station's, as a share of it."""
+
+EFFORTS = {TORQUE: "torque", CURRENT: "current"}
+"""`nEffort` in the words of the option `effort`."""
 
 ANSWER_S, BEAT_S, STOP_S = 1.0, 0.2, 0.03
 """How long an answer may take: in general, to a beat, to a stop before it is written again [s]."""
@@ -40,7 +56,7 @@ watchdog takes to notice that [s]."""
 
 
 class Controller:
-    """One PLC, from connecting to letting go.
+    """One PLC, from connecting to closing.
 
     Args:
         model: Built-in arm.
@@ -54,10 +70,10 @@ class Controller:
 
     Attributes:
         variables: Of the PLC.
-        identity: Who it says to be.
-        orders: Commands to it.
-        session: Our number.
-        stops: To the PLC.
+        identity: Of arm and PLC, as the PLC states it.
+        session: Number of this connection.
+        orders: Give commands.
+        stops: Give stops.
         beat: The heartbeat.
     """
 
@@ -67,12 +83,18 @@ class Controller:
         self._main, self._beats = Line(options, ANSWER_S), Line(options, BEAT_S)
         self._stopping = Line(options, STOP_S)
         try:
-            address = address_of(options)
+            # Looked for once and before any line is open: a PLC may drop an older connection from
+            # this computer. A mock that is still starting here is waited for.
+            host, _ = options.host
+            if is_ip(host):
+                address = once_listening(host, lambda: listening_address(options))
+            else:
+                address = listening_address(options)
             for line in (self._main, self._beats, self._stopping):
                 line.open(address)
             self.variables = Variables(self._main, layout, options)
-            require_fit(self.where, self.info, model, options)
-            self.identity: Identity = identity_of(self.info, options, model, self._device())
+            self._require_fit(model, options)
+            self.identity = self._identity(model, options)
             self.session = secrets.randbelow(2**32 - 1) + 1
             self.stops = Stops(self.variables, self._stopping)
             self.orders = Orders(
@@ -83,19 +105,19 @@ class Controller:
                 arm.joint_names,
             )
             self.beat = self._take(layout.types["stBeat"])
-            self.variables.moved = self.beat.hush
+            self.variables.moved = self.beat.silence
         except BaseException:
-            self._hang_up()
+            self._close_lines()
             raise
 
     @property
     def where(self) -> str:
-        """For messages."""
+        """The PLC, for messages."""
         return self._main.where
 
     @property
     def info(self) -> np.void:
-        """`stInfo` as it was when we connected."""
+        """`stInfo` as it was at connecting."""
         return self.variables.info
 
     @property
@@ -104,28 +126,28 @@ class Controller:
         return float(self.info["fWatchdogS"])
 
     def state(self) -> np.void:
-        """`stState`, now; raises as `Line.read`."""
+        """Read `stState`; raises as `Line.read`."""
         return self.variables.structure("stState")
 
     def runtime_state(self) -> int:
-        """ADS state of its runtime; raises as `Line.read`."""
+        """Read the ADS state of the PLC's runtime; raises as `Line.read`."""
         return self._main.state()
 
     def wait_for(self, timeout_s: float | None = None) -> None:
-        """How long answers may take from now on, those to beats and stops left out [s]."""
+        """Set how long answers may take, those to beats and stops left out [s]."""
         self._main.wait_for(ANSWER_S if timeout_s is None else min(timeout_s, ANSWER_S))
 
     def stop(self) -> None:
-        """Tell the PLC to bring the arm to rest, and see that it does; by any thread.
+        """Let the PLC bring the arm to rest; any thread may call this.
 
         Raises:
-            RobotConnectionError: It could not be told, or does not show that it has seen it; our
-                heartbeat has ended then, and its watchdog does it.
+            RobotConnectionError: The PLC was not reached, or does not show that it has seen the
+                stop; the heartbeat has ended then, so that the PLC's watchdog stops the arm.
         """
         try:
             self.stops.give()
         except HilError as error:
-            self.beat.hush()
+            self.beat.silence()
             raise RobotConnectionError(
                 f"{self.where} could not be told to stop: {error.message}; our heartbeat has "
                 f"ended, so its watchdog stops the arm within {self.watchdog_s:g} s",
@@ -136,7 +158,7 @@ class Controller:
         """Upload set-points and let the PLC check them.
 
         Raises:
-            CommandRefused: There are too many, they leave the limits, or have arrived spoilt.
+            CommandRefused: There are too many, they leave the limits, or were changed on the way.
             RobotError: As `Orders.give`.
         """
         room, rows = int(self.info["nSetPoints"]), len(segment.q)
@@ -154,30 +176,78 @@ class Controller:
             )
 
     def fault(self, state: np.void) -> str:
-        """What the PLC says about its fault."""
-        said = text(state["sFault"])
-        return f"fault {int(state['nFault'])}" + (f": {said}" if said else "")
+        """Return number and text of the PLC's fault, as `stState` has them."""
+        description = _text(state["sFault"])
+        return f"fault {int(state['nFault'])}" + (f": {description}" if description else "")
 
     def close(self) -> None:
-        """Release the arm and let go of the PLC; raises nothing."""
+        """Release the arm and close the connection; raises nothing."""
         with contextlib.suppress(HilError):
             self.orders.give(Order.RELEASE, "release the arm", 0.5)
             self.variables.release()
         self.beat.end()
-        self._hang_up()
+        self._close_lines()
 
-    def _hang_up(self) -> None:
+    def _close_lines(self) -> None:
         for line in (self._stopping, self._beats, self._main):
             line.close()
 
-    def _device(self) -> str:
+    def _require_fit(self, model: str, options: Options) -> None:
+        """Raise if the PLC is not what the station says; all differences are listed.
+
+        Raises:
+            RobotConnectionError: Model, axes, cycle or effort differ.
+        """
+        info, described = self.info, load_arm(model)
+        plc_model, cycle = _text(info["sModel"]), float(info["fCycleS"])
+        problems = []
+        if info["nAxes"] != described.n_joints:
+            problems.append(f"it has {info['nAxes']} axes, the {model} has {described.n_joints}")
+        if plc_model and plc_model != model:
+            problems.append(f"it moves a {plc_model}, the station says {model}")
+        if not abs(cycle * options.rate_hz - 1) < CYCLE_SHARE:
+            wanted = 1e3 / options.rate_hz
+            problems.append(f"its cycle is {cycle * 1e3:g} ms, rate_hz says {wanted:g}")
+        effort = EFFORTS.get(int(info["nEffort"]), f"effort {info['nEffort']}")
+        if effort != options.effort:
+            problems.append(f"it tells {effort}, option effort says {options.effort}")
+        if not (info["aQMin"] < info["aQMax"]).all() or not (info["aQdMax"] > 0).all():
+            problems.append("its joint limits are none")
+        if problems:
+            raise RobotConnectionError(
+                f"{self.where}: {'; '.join(problems)}", hint="mend the station, or the PLC's GVL"
+            )
+
+    def _identity(self, model: str, options: Options) -> Identity:
+        info = self.info
         try:
-            return self._main.device()
+            device = self._main.device()
         except HilError:
-            return "not told"
+            device = "not told"
+        return Identity(
+            model=_text(info["sModel"]) or model,
+            serial=_text(info["sSerial"]),
+            firmware=_text(info["sProgram"]),
+            driver="twincat",
+            details={
+                "ams": f"{options.ams_net_id}:{options.port}",
+                "runtime": device,
+                "contract": str(CONTRACT),
+                "effort": options.effort,
+                "cycle_s": f"{float(info['fCycleS']):g}",
+                "ring_rows": str(int(info["nRingRows"])),
+                "set_points": str(int(info["nSetPoints"])),
+                "watchdog_s": f"{float(info['fWatchdogS']):g}",
+                "stop_rad_s2": f"{float(info['fStopRadS2']):g}",
+            },
+        )
 
     def _take(self, kind: np.dtype[np.void]) -> Beat:
-        """Take the arm, and begin with the heartbeat."""
+        """Take the arm and start the heartbeat.
+
+        Args:
+            kind: dtype of `stBeat`.
+        """
         began = time.monotonic()
         while True:
             try:
@@ -204,6 +274,10 @@ class Controller:
         return beat
 
 
+def _text(raw: bytes) -> str:
+    return bytes(raw).split(b"\0")[0].decode("windows-1252")
+
+
 ORDER_S, LOAD_S = 2.0, 10.0
 """How long the PLC may take; LOAD looks at every set-point, a hundred a cycle [s]."""
 
@@ -211,12 +285,13 @@ POLL_S = 0.002
 
 
 class Orders:
-    """Sends one command at a time.
+    """Gives one command at a time and waits for its answer.
 
     Args:
         layout: Of the variables.
-        read, write: `stAnswer` and `stCommand`, as bytes.
-        session: Our number.
+        read: Returns the bytes of `stAnswer`.
+        write: Writes the bytes of `stCommand`.
+        session: Number of this connection.
         names: Of the joints, for messages.
     """
 
@@ -269,7 +344,7 @@ class Orders:
             time.sleep(POLL_S)
 
     def _is_to(self, answer: np.void, counter: int, order: Order) -> bool:
-        """Whether an answer is whole, and to this command of ours: others count, too."""
+        """Return whether an answer is whole and to this command: other clients count, too."""
         return bool(
             answer["nCounter"] == counter == answer["nCounterEnd"]
             and answer["nSession"] == self._session
@@ -282,20 +357,20 @@ class Orders:
             return
         joint = f" ({self._names[where]})" if 0 <= where < len(self._names) else ""
         why = REASONS.get(result, f"result {result}")
-        said = f"the PLC refuses to {what}: {why}{joint}"
+        message = f"the PLC refuses to {what}: {why}{joint}"
         if result in (Result.FAULT, Result.NOT_YOURS):
-            raise RobotFault(said, hint="remove the cause, then connect() again")
+            raise RobotFault(message, hint="remove the cause, then connect() again")
         hints: dict[int, str] = {
             Result.HELD: "end the other client, or wait until the PLC's watchdog has noticed",
             Result.CHECKSUM: "try again; if it stays so, see to the connection",
             Result.BUSY: "read until it rests",
             Result.STOPPED: "prepare it again; something else may write nStop as well",
         }
-        raise CommandRefused(said, hint=hints.get(result, "plan again for this arm"))
+        raise CommandRefused(message, hint=hints.get(result, "plan again for this arm"))
 
 
 def payload_in(answer: np.void) -> Payload:
-    """The load that an answer says the PLC computes with."""
+    """Return the load that the PLC computes with, as `stAnswer` has it."""
     x, y, z = answer["aCom"].tolist()
     xx, yy, zz, xy, xz, yz = answer["aInertia"].tolist()
     return Payload(float(answer["fMass"]), (x, y, z), (xx, yy, zz, xy, xz, yz))
@@ -309,11 +384,11 @@ STOP_MODULO = 2**32
 
 
 class Stops:
-    """Counts in `nStop`, where any change is a stop.
+    """Gives stops by counting up `nStop`.
 
     Args:
         variables: Of the PLC.
-        line: To write and look on.
+        line: For stops only.
     """
 
     def __init__(self, variables: Variables, line: Line) -> None:
@@ -323,22 +398,22 @@ class Stops:
         self._counting, self._writing = threading.Lock(), threading.Lock()
 
     def before_start(self) -> tuple[np.void, int]:
-        """`stState`, and the `nStop` with which a start is obeyed, whichever client wrote it."""
+        """Return `stState`, and the `nStop` with which a start will be obeyed."""
         with self._counting:
             given, under_way = self._given, self._under_way
         state = self._variables.structure("stState")
-        seen = int(state["nStop"])
+        seen = int(state["nStop"])  # other clients count it up, too
         with self._counting:
-            # Never back behind a stop of ours: the next one would be no change.
+            # Never back behind a stop of this client: the next one would be no change.
             if given == self._given and not under_way:
                 self._last = seen
         return state, seen
 
     def give(self) -> None:
-        """Write one, and wait until the PLC shows that its program has seen it; by any thread.
+        """Write a stop and wait until the PLC's program has seen it; any thread may call this.
 
         Raises:
-            RobotTimeout: It does not show that.
+            RobotTimeout: The program does not show the stop in time.
             RobotError: It could not be written.
         """
         began = time.monotonic()
@@ -354,13 +429,13 @@ class Stops:
                 self._under_way -= 1
 
     def _write(self) -> None:
-        """One thread after the other, and the newest number: `nStop` never goes back."""
+        """Write the newest number, one thread after the other, so that `nStop` never goes back."""
         with self._writing:
             number = self._last.to_bytes(4, "little")
             self._line.write(self._variables.handle("nStop"), number)
 
     def _require_seen(self, value: int) -> None:
-        """The PLC shows this stop, or one that another thread has given since."""
+        """Raise unless the PLC shows this stop, or a later one of another thread."""
         seen = int(self._variables.structure("stState", self._line)["nStop"])
         if (self._last - seen) % STOP_MODULO > (self._last - value) % STOP_MODULO:
             raise RobotTimeout(
@@ -370,7 +445,7 @@ class Stops:
 
 
 def _until(until: float, act: Callable[[], None]) -> None:
-    """Threads share the line, which may refuse one of them: try again."""
+    """Call `act` until it raises nothing: threads share the line, which may refuse one of them."""
     while True:
         try:
             return act()
@@ -381,17 +456,18 @@ def _until(until: float, act: Callable[[], None]) -> None:
 
 
 EVERY_S = 0.04
+"""Time between two beats [s]."""
 
 
 class Beat:
-    """A thread that writes a counter; it dies with this process, and the PLC notices.
+    """The heartbeat: a thread that writes a counter. It dies with this process, the PLC notices.
 
     Args:
         write: Writes session and count.
-        session: Our number.
+        session: Number of this connection.
 
     Attributes:
-        problem: What went wrong with the last beat that did; the PLC stops the arm without them.
+        problem: Error of the last beat that failed; the PLC stops the arm if beats stay away.
     """
 
     def __init__(self, write: Callable[[int, int], None], session: int) -> None:
@@ -402,22 +478,22 @@ class Beat:
         self.problem: HilError | None = None
 
     def start(self) -> None:
-        """Go on writing."""
+        """Begin to write, until `silence` or `end`."""
         self._thread = threading.Thread(target=self._run, name="beat to the PLC", daemon=True)
         self._thread.start()
 
     @property
     def alive(self) -> bool:
-        """Whether it goes on."""
+        """Whether beats are being written."""
         return self._thread is not None and self._thread.is_alive() and not self._over.is_set()
 
-    def hush(self) -> None:
-        """Fall silent, without waiting for a beat that is on its way."""
+    def silence(self) -> None:
+        """Write no further beats, without waiting for one that is on its way."""
         self._over.set()
 
     def end(self) -> None:
-        """Fall silent; idempotent."""
-        self.hush()
+        """Write no further beats and wait for the thread; idempotent."""
+        self.silence()
         if self._thread is not None and self._thread is not threading.current_thread():
             self._thread.join(2.0)
 

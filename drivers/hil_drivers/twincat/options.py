@@ -1,4 +1,4 @@
-"""What a station file may say about an arm behind a TwinCAT PLC, beside its name and model."""
+"""Options of a station file for an arm behind a TwinCAT PLC."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ class Options:
     Attributes:
         address: IP address or host name of the PLC, and a TCP port where it is not 48898.
         ams_net_id: Of the PLC; on this computer made of the address, as the mock's is.
-        local_net_id: Of this computer, where the route on the PLC says another one than what the
-            library takes, its address and `.1.1`.
+        local_net_id: Of this computer, where the route on the PLC has another one than the
+            library's default, the computer's address and `.1.1`.
         port: AMS port of the PLC's runtime.
-        prefix: Where the contract's variables are.
+        prefix: Variable list of the PLC that has the contract's variables.
         rate_hz: Cycles of the PLC's task per second.
-        block_rows: So many rows are waited for, so that each request is worth its millisecond.
+        block_rows: Rows that a read waits for, since a request takes about a millisecond.
         chunk_bytes: Most that is read or written in one request.
-        effort: What the drives tell: torque at the joint [N·m], or motor current [A].
+        effort: What the drives measure: torque at the joint [N·m], or motor current [A].
         drive_gains_nm_a: Torque per current at the joint; the arm's own by default.
         late_s: Silence of the PLC that ends a motion [s].
         speed_share: Share of the arm's joint speeds that may be used.
@@ -69,7 +69,8 @@ class Options:
     def resource(self) -> str:
         """The PLC, whatever a station calls it.
 
-        It keeps one TCP connection per computer: two programs here cannot have two of its arms.
+        A PLC keeps one TCP connection per computer, so two programs of one computer cannot drive
+        two of its arms.
         """
         return f"ads://{self.ams_net_id}"
 
@@ -84,16 +85,20 @@ class Options:
 
     @property
     def host(self) -> tuple[str, int]:
-        """Host and TCP port."""
+        """Host and TCP port of the PLC's ADS."""
         host, _, port = self.address.partition(":")
         return host, int(port or ADS_PORT)
 
 
 def options_of(given: Mapping[str, Any], model: str) -> Options:
-    """The options of a station's mapping, for a built-in arm.
+    """Return the options that a station file gives.
+
+    Args:
+        given: Option → value.
+        model: Built-in arm.
 
     Raises:
-        SpecError: One is missing, unknown, or cannot be.
+        SpecError: An option is missing, unknown, or has a value that is not possible.
     """
     _CHECKS.require_known(given, [field.name for field in fields(Options)])
     for name, between in RANGES.items():
@@ -118,7 +123,7 @@ def options_of(given: Mapping[str, Any], model: str) -> Options:
 
 
 def _address(value: Any) -> str:
-    """One way of writing it."""
+    """Return an address in the one form that addresses are compared in."""
     written, _, port = value.strip().partition(":") if isinstance(value, str) else ("", "", "")
     host = host_of(written)
     if host and (not port or (port.isdigit() and 0 < int(port) < 65536)):

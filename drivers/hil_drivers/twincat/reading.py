@@ -1,12 +1,12 @@
-"""What a read is made of: rows of the PLC's ring, and whether the arm still obeys.
+"""Reading the rows of the PLC's ring, and following the arm by them.
 
 The PLC writes a row per cycle into a ring; `Ring` pulls them in blocks, every row once and in
-order, and counts what was overwritten before it was read. A row has its number at both ends, so one
-that is being written while it is read is noticed and read again. `Watch` follows the arm by these
-rows and the PLC's state: is it moving, was it taken away from us, does its task stand still?
-`Reading` puts both together: it waits for a block as long as there is time for it, and gives a
-motion up when the PLC is silent. `state_rows` and `reading_rows` turn rows into the base record and
-a topic of their own.
+order, and counts rows that were overwritten before they were read. A row has its number at both
+ends, so a row that is being written while it is read is noticed and read again. `Watch` follows the
+arm by these rows and the PLC's state: does it move, was it taken by another client, does the PLC's
+task run? `Reading` puts both together: it waits for a block as long as time allows, and gives a
+motion up when the PLC is silent. `state_rows` and `reading_rows` turn rows of the ring into the
+base record and a topic of their own.
 """
 
 from __future__ import annotations
@@ -24,11 +24,14 @@ from hil_drivers.twincat.controller import Controller
 from hil_drivers.twincat.options import Options
 from hil_drivers.twincat.variables import EFFORT_TARGETS, TEMPERATURES, Phase
 
-LEAST_NAP_S, LEAST_WAIT_S = 1e-3, 0.02
-"""Shorter no request may wait for its answer [s]."""
+LEAST_NAP_S = 1e-3
+"""Shortest pause between two requests [s]."""
 
-KEPT_S = 5.0
-"""Rows of an arm that was neither moved nor read: no more than these are given [s]."""
+LEAST_WAIT_S = 0.02
+"""Shortest time that a request waits for its answer [s]."""
+
+IDLE_ROWS_S = 5.0
+"""Of an arm that was neither moved nor read for long, only the newest rows are read [s]."""
 
 
 class Reading:
@@ -41,7 +44,7 @@ class Reading:
 
     Attributes:
         ring: That is read.
-        watch: Follows the arm by what is read.
+        watch: Follows the arm.
     """
 
     def __init__(self, controller: Controller, options: Options, topic: Topic) -> None:
@@ -75,7 +78,7 @@ class Reading:
             state = self._await_rows(timeout_s)
             now = time.time()
             if watch.idle and not watch.moving:
-                self.ring.forget(int(state["nHead"]), round(KEPT_S * self._options.rate_hz))
+                self.ring.forget(int(state["nHead"]), round(IDLE_ROWS_S * self._options.rate_hz))
             raw = self.ring.pull(int(state["nHead"]))
         except (RobotConnectionError, RobotFault):
             watch.faulty = True
@@ -89,10 +92,10 @@ class Reading:
         return rows
 
     def _await_rows(self, timeout_s: float) -> np.void:
-        """The PLC's state once a block is there, or some rows and no time left for more."""
-        asked, wanted, rate = time.monotonic(), self._options.block_rows, self._options.rate_hz
-        until = asked + timeout_s
-        enough = min(until, asked + 1.5 * wanted / rate)
+        """Return the PLC's state once a block is there, or a few rows at the time-out."""
+        began, wanted, rate = time.monotonic(), self._options.block_rows, self._options.rate_hz
+        until = began + timeout_s
+        enough = min(until, began + 1.5 * wanted / rate)
         while True:
             state = self._state()
             waiting = int(state["nHead"]) - self.ring.next
@@ -108,7 +111,7 @@ class Reading:
             time.sleep(max(LEAST_NAP_S, min(nap, until - now)))
 
     def _state(self) -> np.void:
-        """`stState`; a PLC that is silent for too long in a motion is given up."""
+        """Read `stState`; give the motion up if the PLC is silent for too long."""
         watch, controller = self.watch, self._controller
         try:
             state = controller.state()
@@ -118,30 +121,35 @@ class Reading:
             raise
         if not watch.advanced(int(state["nHead"])) and watch.moving:
             self._give_up()
-            raise watch.stands_still(controller.where)
+            raise RobotTimeout(
+                f"{controller.where} has written no rows for more than {self._options.late_s:g} s: "
+                "its task stands still",
+                hint="see to TwinCAT: is the PLC in run mode, at a breakpoint, or over its cycle "
+                "time?",
+            )
         return state
 
     def _give_up(self) -> None:
-        """Both are there when the PLC goes on: the stop, and the silence of our heartbeat."""
+        """Stop, and end the heartbeat: the PLC meets both if it goes on."""
         self.watch.faulty = True
-        self._controller.beat.hush()
+        self._controller.beat.silence()
         with suppress(RobotConnectionError):
             self._controller.stop()
 
 
 class Watch:
-    """One session with a PLC.
+    """State of the arm during one connection to the PLC.
 
     Args:
-        session: Our number.
+        session: Number of this connection.
         late_s: Silence of the PLC that ends a motion [s].
 
     Attributes:
         problem: What the next read raises.
-        faulty: Whether nothing is obeyed any more, until connected again.
+        faulty: Whether commands are refused until `connect` is called again.
         moving: Whether a segment was started and no row has shown its end.
-        idle: Whether nothing was started since the connection was made, or the arm was stopped:
-            rows that were not read for long may be left out then.
+        idle: Whether nothing was started since connecting, or the arm was stopped: rows that were
+            not read for long may be left out then.
     """
 
     def __init__(self, session: int, late_s: float) -> None:
@@ -152,34 +160,33 @@ class Watch:
         self.faulty = self.moving = False
         self.idle = True
 
-    def begun(self, segment: int) -> None:
-        """A segment was started."""
+    def begin(self, segment: int) -> None:
+        """Follow a segment that was started."""
         self._segment, self.moving, self.idle = segment, True, False
         self._since = time.monotonic()
 
     def advanced(self, head: int) -> bool:
-        """Whether the PLC has written rows since it was last asked, or was not silent for long."""
+        """Return whether the PLC has written rows lately.
+
+        Args:
+            head: Rows that it has written so far.
+        """
         if head != self._head:
             self._head, self._since = head, time.monotonic()
         return not self.silent
 
     @property
     def silent(self) -> bool:
-        """Whether it has not been seen to write rows for long."""
+        """Whether the PLC has written no rows for too long."""
         return time.monotonic() - self._since > self._late_s
 
-    def found(self, problem: HilError) -> None:
-        """Something is wrong: it is told by the next read, the first one only."""
-        self.faulty = True
-        self.problem = self.problem or problem
-
-    def see(self, rows: StructArray, state: np.void, why: Callable[[np.void], str]) -> None:
-        """Look at what was read.
+    def see(self, rows: StructArray, state: np.void, describe: Callable[[np.void], str]) -> None:
+        """Update from rows and state; the next read raises the first problem that they show.
 
         Args:
             rows: (N,) state rows.
             state: `stState`, read before them.
-            why: Words for the fault that it tells.
+            describe: Returns words for the fault in `stState`.
         """
         mine = rows[rows["segment"] == self._segment]
         if len(mine) and not mine[-1]["status"] & Status.MOVING:
@@ -187,48 +194,42 @@ class Watch:
         if self.faulty:
             return
         if (rows["status"] & Status.FAULT).any() or state["nPhase"] == Phase.FAULT:
-            self.found(RobotFault(why(state), hint="remove its cause, then connect() again"))
+            problem = RobotFault(describe(state), hint="remove its cause, then connect() again")
         elif state["nSession"] != self._session:
-            self.found(
-                RobotFault(
-                    "the PLC has taken the arm away: it had not heard from this computer in time, "
-                    "or its program was started anew",
-                    hint="was hil suspended, or the computer busy? connect() again",
-                )
+            problem = RobotFault(
+                "the PLC has taken the arm away: it had not heard from this computer in time, "
+                "or its program was started anew",
+                hint="was hil suspended, or the computer busy? connect() again",
             )
-
-    def stands_still(self, where: str) -> RobotTimeout:
-        """The error for a PLC that answers, but whose program does not run."""
-        return RobotTimeout(
-            f"{where} has written no rows for more than {self._late_s:g} s: its task stands still",
-            hint="see to TwinCAT: is the PLC in run mode, at a breakpoint, or over its cycle time?",
-        )
+        else:
+            return
+        self.faulty = True
+        self.problem = self.problem or problem
 
 
 Read = Callable[[int, int], bytes]
-"""Bytes of the ring: from which byte on, and how many."""
+"""Reads bytes of the ring: from which byte on, and how many."""
 
 SAFE_ROWS = 256
-"""Rows next to being overwritten that are not asked for after an overrun: they were gone by the
-time they are read."""
+"""Oldest rows that are given up after an overrun: they would be overwritten while they are read."""
 
 TORN_AGAIN = 3
-"""How often a block with a torn row is read again."""
+"""How often a block with a torn row is read, at most."""
 
 
 class Ring:
-    """Follows one ring.
+    """Reader of the PLC's ring of rows.
 
     Args:
         read: Reads its bytes.
         row: dtype of a row.
-        rows: Its length.
+        rows: Length of the ring.
         chunk_bytes: Most that is read at once.
 
     Attributes:
         next: Sequence number of the row that is read next.
         gaps: How often rows were overwritten before they were read.
-        lost: How many rows that were.
+        lost: How many rows those were.
         skipped: Rows left out: nothing had been started, and none were read for long.
         torn: How often a block was read again because a row in it was being written.
     """
@@ -240,7 +241,7 @@ class Ring:
         self._behind_gap = -1
 
     def begin(self, head: int) -> None:
-        """Forget what was before; the next row is the one with this number."""
+        """Begin to read at the row with this number."""
         self.next = head
 
     def forget(self, head: int, keep: int) -> None:
@@ -250,13 +251,13 @@ class Ring:
             self.next = head - keep
 
     def pull(self, head: int) -> StructArray:
-        """(N,) rows that have been written and not been read.
+        """Return (N,) rows that have been written and not been read.
 
         Args:
             head: Rows written so far; the newest has the number before it.
 
         Raises:
-            RobotConnectionError: The PLC has begun anew, or gives rows that are none.
+            RobotConnectionError: The PLC's program was restarted, or rows have wrong numbers.
         """
         if head < self.next:
             raise RobotConnectionError(
@@ -273,7 +274,7 @@ class Ring:
         return np.concatenate(blocks) if blocks else np.zeros(0, self._row)
 
     def _block(self, count: int) -> StructArray:
-        """Rows that lie behind each other; fewer than asked for where the ring turns."""
+        """Read rows that are adjacent in memory: fewer than `count` at the end of the ring."""
         at = self.next % self._rows
         count = min(count, self._rows - at)
         size = self._row.itemsize
@@ -285,7 +286,7 @@ class Ring:
                 return rows
             newest = int(np.minimum(rows["nSequence"], rows["nSequenceEnd"]).max())
             if newest >= self.next + self._rows:
-                # Overtaken while reading: what is left of this lap begins behind the newest.
+                # Overtaken while reading: the rest of this lap begins behind the newest.
                 self._skip_to(newest - self._rows + 1 + min(SAFE_ROWS, self._rows // 2))
                 return rows[:0]
             self.torn += 1
@@ -296,7 +297,7 @@ class Ring:
         )
 
     def _skip_to(self, number: int) -> None:
-        """Give up the rows before this number; gaps without a row between them are one."""
+        """Give up the rows before this number; gaps without a row between them count as one."""
         self.gaps += self.next != self._behind_gap
         self.lost += number - self.next
         self.next = self._behind_gap = number
@@ -313,23 +314,23 @@ _FIELDS = {
 
 
 def state_rows(raw: StructArray, offers: int) -> StructArray:
-    """Rows of the ring as the base robot record, without `host_time`.
+    """Return rows of the ring as the base robot record, without `host_time`.
 
     Args:
         raw: (N,) rows.
-        offers: `nOffers`; what the PLC does not measure becomes NaN.
+        offers: `nOffers`; quantities that the PLC does not measure become NaN.
     """
     rows = np.zeros(len(raw), state_dtype(raw.dtype["aQ"].shape[0]))
     rows["device_time"] = raw["nTimeNs"] * NS
-    for name, told in _FIELDS.items():
-        rows[name] = raw[told]
+    for name, ring_name in _FIELDS.items():
+        rows[name] = raw[ring_name]
     rows["temperature"] = raw["aCelsius"] if offers & TEMPERATURES else np.nan
     rows["effort_target"] = raw["aEffortTarget"] if offers & EFFORT_TARGETS else np.nan
     return rows
 
 
 class HostClock:
-    """When rows were made by this computer's clock, spread over the time since the last block."""
+    """This computer's times of rows, spread over the time since the last block."""
 
     def __init__(self) -> None:
         self._device = self._host = np.nan
@@ -355,7 +356,7 @@ TOPIC = "/robot/twincat"
 
 
 def reading_topic(rate_hz: float) -> Topic:
-    """How the ring was read: the number of each row, and what was lost before it.
+    """Return the topic about the reading itself: each row's number, and the rows lost before it.
 
     Args:
         rate_hz: Rows per second [Hz].
@@ -380,16 +381,16 @@ def reading_topic(rate_hz: float) -> Topic:
 
 
 def reading_rows(rows: StructArray, raw: StructArray, ring: Ring, topic: Topic) -> StructArray:
-    """What is told of the reading of a block.
+    """Return the topic's rows for a block.
 
     Args:
         rows: (N,) state rows.
-        raw: (N,) the same as they stood in the ring.
+        raw: (N,) the same rows of the ring.
         ring: Which has just read them.
         topic: As `reading_topic` makes it.
     """
-    told = topic.blank(len(rows))
-    told["device_time"], told["host_time"] = rows["device_time"], rows["host_time"]
-    told["sequence"], told["waited"] = raw["nSequence"], len(rows)
-    told["gaps"], told["lost"], told["skipped"] = ring.gaps, ring.lost, ring.skipped
-    return told
+    reading = topic.blank(len(rows))
+    reading["device_time"], reading["host_time"] = rows["device_time"], rows["host_time"]
+    reading["sequence"], reading["waited"] = raw["nSequence"], len(rows)
+    reading["gaps"], reading["lost"], reading["skipped"] = ring.gaps, ring.lost, ring.skipped
+    return reading

@@ -1,13 +1,13 @@
 """The contract with the PLC: its variables, their layouts, and what the numbers in them mean.
 
-The contract's other half, in structured text, is in docs/how-to/drive-twincat.md. `layout_of` says
-what every variable looks like; `Variables` finds them in the PLC once, holds their sizes against
-the layouts, and reads them as structures.
+The contract's other half, in structured text, is in docs/how-to/drive-twincat.md. `layout_of` has
+the layout of every variable; `Variables` finds them in the PLC once, compares their sizes with the
+layouts, and reads them as structures.
 
 A program that is changed online moves variables. So every read asks for the version of the symbols
-in the same request, and what is written is written by handle, which such a PLC refuses. Only parts
-of an array cannot be written by handle: before each chunk of set-points the version is looked at,
-and the PLC adds up all words that have arrived (`sums_of`).
+in the same request, and variables are written by handle, which such a PLC refuses. Only parts of an
+array cannot be written by handle: the version is read before each chunk of set-points, and the PLC
+adds up all words that have arrived (`sums_of`).
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ from hil_drivers.twincat.ads import RUN, STATES, Line, Place, changed_online, on
 from hil_drivers.twincat.options import Options
 
 CONTRACT = 2
-"""Version of it; a PLC with another one is not driven."""
+"""Version of the contract; a PLC with another one is not driven."""
 
 TORQUE, CURRENT = 1, 2
-"""`nEffort`."""
+"""Values of `nEffort`: what the drives measure."""
 
 TEMPERATURES, EFFORT_TARGETS = 1, 2
-"""Bits of `nOffers`."""
+"""Bits of `nOffers`: what the PLC measures beside position, speed and effort."""
 
 
 class Phase(IntEnum):
-    """`nPhase`: what the arm is doing."""
+    """Values of `nPhase`: what the arm is doing."""
 
     NOT_READY = 0
     HOLDING = 1
@@ -45,7 +45,7 @@ class Phase(IntEnum):
 
 
 class Order(IntEnum):
-    """`nCommand`."""
+    """Values of `nCommand`."""
 
     TAKE = 1
     LOAD = 2
@@ -56,7 +56,7 @@ class Order(IntEnum):
 
 
 class Result(IntEnum):
-    """`nResult` of an answer."""
+    """Values of `nResult` in an answer."""
 
     DONE = 0
     UNKNOWN = 1
@@ -97,12 +97,12 @@ REASONS: Mapping[int, str] = {
     Result.NO_NUMBER: "it holds numbers that are none",
     Result.JUMP: "set-points are farther apart than the joint can go in a cycle",
 }
-"""What the PLC means by the results other than DONE."""
+"""Words for the results other than DONE."""
 
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """What the PLC's variables look like for an arm with n joints.
+    """Layouts of the PLC's variables for an arm with n joints.
 
     Attributes:
         types: Variable without prefix → dtype; of arrays, of one element.
@@ -112,17 +112,17 @@ class Layout:
 
     @property
     def row(self) -> np.dtype[Any]:
-        """A row of the ring."""
+        """The dtype of a row of the ring."""
         return self.types["aRing"]
 
     @property
     def set_point(self) -> np.dtype[Any]:
-        """A row of the trajectory."""
+        """The dtype of a row of the trajectory."""
         return self.types["aSetPoints"]
 
 
 def layout_of(n: int) -> Layout:
-    """Layouts for n joints; every field lies at a multiple of its size."""
+    """Return the layouts for n joints; every field lies at a multiple of its size."""
     axes = (n,)
     info = [
         ("fCycleS", "<f8"), ("fWatchdogS", "<f8"), ("fStopRadS2", "<f8"), ("fPayloadMax", "<f8"),
@@ -170,16 +170,16 @@ def layout_of(n: int) -> Layout:
 
 
 LENGTHS = {"aSetPoints": "nSetPoints", "aRing": "nRingRows"}
-"""Arrays, and which field of `stInfo` tells their length."""
+"""Arrays, each with the field of `stInfo` that has its length."""
 
-WRITTEN = ("stCommand", "stBeat", "nStop")
-"""Variables that are written whole, by handle: old handles are refused, old offsets are not."""
+WRITTEN_BY_HANDLE = ("stCommand", "stBeat", "nStop")
+"""Variables that are written whole: old handles are refused, old offsets are not."""
 
 _DOWNLOAD = "download the PLC program that docs/how-to/drive-twincat.md describes"
 
 
 class Variables:
-    """What the contract has in the PLC.
+    """The variables of the contract, in one PLC.
 
     Args:
         line: Opened.
@@ -193,7 +193,8 @@ class Variables:
     Attributes:
         layout: As given.
         info: `stInfo` as it was read.
-        moved: Called when the program turns out to have been changed online, before that is told.
+        moved: Called once the program turns out to have been changed online, before the error for
+            that is raised.
     """
 
     def __init__(self, line: Line, layout: Layout, options: Options) -> None:
@@ -216,11 +217,11 @@ class Variables:
         self.info = self.structure("stInfo")
         for name in LENGTHS:
             self._require_length(name)
-        for name in WRITTEN:
+        for name in WRITTEN_BY_HANDLE:
             self._handles[name] = line.handle(f"{prefix}.{name}")
 
     def handle(self, name: str) -> Place:
-        """One of `WRITTEN`, to be written on another line."""
+        """Return the handle of one of `WRITTEN_BY_HANDLE`, to be written on another line."""
         return self._handles[name]
 
     def release(self) -> None:
@@ -231,7 +232,7 @@ class Variables:
     def read(
         self, name: str, start: int = 0, size: int | None = None, line: Line | None = None
     ) -> bytes:
-        """Bytes of a variable, unless it lies elsewhere by now.
+        """Read bytes of a variable, unless it has moved.
 
         Args:
             name: Of the variable.
@@ -248,7 +249,7 @@ class Variables:
         return data
 
     def structure(self, name: str, line: Line | None = None) -> np.void:
-        """A variable that is no array, now; raises as `read`."""
+        """Read a variable that is no array; raises as `read`."""
         return one(self.read(name, line=line), self.layout.types[name])
 
     def command(self, data: bytes) -> None:
@@ -257,20 +258,20 @@ class Variables:
         self._line.write(self._handles["stCommand"], data)
 
     def newest_row(self) -> np.void:
-        """The row of the ring that was written last."""
+        """Read the row of the ring that was written last; raises as `read`."""
         rows, size = int(self.info["nRingRows"]), self.layout.row.itemsize
         at = (int(self.structure("stState")["nHead"]) - 1) % rows * size
         return one(self.read("aRing", at, size), self.layout.row)
 
     def upload(self, segment: Segment) -> dict[str, Any]:
-        """Write the set-points of a segment; returns the fields of the command that loads them."""
+        """Write the set-points of a segment; return the fields of the command that loads them."""
         rows = set_points(segment, self.layout.set_point)
         upload(rows, self._write_set_points, self._options.chunk_bytes)
         a, b = sums_of(rows)
         return {"nRows": len(rows), "nSumA": a, "nSumB": b}
 
     def _write_set_points(self, data: bytes, start: int) -> None:
-        """Part of an array cannot be written by handle: look at the version before each."""
+        """Write part of the array, which cannot be done by handle: compare the version before."""
         self._require_version(self._line.version())
         self._line.write(self._places["aSetPoints"], data, start)
 
@@ -306,13 +307,13 @@ class Variables:
 
 
 Write = Callable[[bytes, int], None]
-"""Puts bytes into the PLC's array of set-points, from this byte on."""
+"""Writes bytes into the PLC's array of set-points, from this byte on."""
 
 SUM_MODULO = 2**32
 
 
 def set_points(segment: Segment, kind: np.dtype[Any]) -> StructArray:
-    """(N,) rows of the PLC's array for the samples of a segment."""
+    """Return (N,) rows of the PLC's array for the samples of a segment."""
     rows = np.zeros(len(segment.q), kind)
     rows["aQ"], rows["aQd"], rows["aQdd"] = segment.q, segment.qd, segment.qdd
     return rows
@@ -323,7 +324,7 @@ def upload(rows: StructArray, write: Write, chunk_bytes: int) -> None:
 
     Args:
         rows: (N,) set-points.
-        write: Writes.
+        write: Called with each chunk and its first byte.
         chunk_bytes: Most that is written at once.
     """
     most = max(1, chunk_bytes // rows.itemsize)
@@ -332,9 +333,9 @@ def upload(rows: StructArray, write: Write, chunk_bytes: int) -> None:
 
 
 def sums_of(rows: StructArray) -> tuple[int, int]:
-    """The sum of all 32-bit words, and the sum of its intermediate results, modulo 2³².
+    """Return the sum of all 32-bit words, and the sum of its intermediate results, modulo 2³².
 
-    The second one knows the order: words that are exchanged change it (J. G. Fletcher, 1982).
+    The second sum depends on the order of the words (J. G. Fletcher, 1982).
     """
     words = np.frombuffer(rows.tobytes(), "<u4").astype(np.uint64)
     # Wraps at 2⁶⁴, which keeps what is left modulo 2³².
