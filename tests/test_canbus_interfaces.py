@@ -9,7 +9,6 @@ import pytest
 from hil.can import channels
 from hil.can.channels import can_interfaces, is_up
 from hil_drivers.cia402.can_channel import CanChannel
-from hil_drivers.cia402.reach import reached
 
 UP, DOWN, NO_NUMBER = "0x40081\n", "0x40080\n", "\n"
 
@@ -49,7 +48,7 @@ def test_a_driver_tells_of_its_interface_and_never_raises(
 ) -> None:
     network = kernel(tmp_path, can0=flags)
     monkeypatch.setattr(channels.is_up, "__defaults__", (network,))
-    (told,) = reached(CanChannel("socketcan", "can0", 500_000))
+    told = CanChannel("socketcan", "can0", 500_000).finding()
     assert (told.passed, told.message) == (passed, message)
     if flags == DOWN:
         assert told.hint == "sudo ip link set can0 up type can bitrate 500000"

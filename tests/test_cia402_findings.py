@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from hil_drivers.arm import limits_of
 from hil_drivers.cia402.can_cycle import Counts
-from hil_drivers.cia402.facts import limits_of
-from hil_drivers.cia402.findings import outside_of
+from hil_drivers.cia402.session import outside_of
 
 
 def test_what_has_gone_wrong_on_the_bus_is_told_with_its_number() -> None:

@@ -13,7 +13,6 @@ from hil.arms import load_arm
 from hil.robot import Finding
 from hil_drivers.cia402 import objects as od
 from hil_drivers.cia402.bus import Bus, Setting
-from hil_drivers.cia402.findings import findings_of
 from hil_drivers.cia402.mapping import MAPPINGS, Mapping
 from hil_drivers.cia402.objects import NO_OBJECT, Aborted, Entry
 from hil_drivers.cia402.options import Options, options_of
@@ -111,7 +110,7 @@ def test_axes_are_set_up_enabled_and_left_without_a_can_bus() -> None:
         assert [drive.status for drive in other.cyclic.drives] == [ENABLED] * 6
         assert {each[key(0x5FFF, 1)] for each in other.acyclic.registers} == {100}
         assert len(session.samples.take(1.0))
-        named = {finding.name: finding for finding in findings_of(session, TorqueModel("lab6"))}
+        named = {finding.name: finding for finding in session.findings(TorqueModel("lab6"))}
         assert named["bus-load"].message == "one datagram a cycle"
         assert named["drives-enabled"].passed
     finally:

@@ -19,9 +19,10 @@ from hil.can.frames import Frame
 from hil.core.errors import DataError, PluginError
 from hil.importers.sources import load_source
 from hil.workflow.replaying import replay
-from hil_drivers.cia402.mapping import INCOMPLETE, POSITION
+from hil_drivers.cia402.mapping import POSITION
 from hil_drivers.cia402.options import options_of
 from hil_drivers.cia402.replay import BusCycles, Replay
+from hil_drivers.cia402.rows import INCOMPLETE
 
 NODES = range(1, 7)
 OPTIONS = {

@@ -1,6 +1,7 @@
 """The robot layer of the CiA 402 driver, without a bus."""
 
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,8 @@ from hil.arms.payload import Payload
 from hil.core.errors import CommandRefused, RobotConnectionError, RobotFault, SpecError
 from hil.dynamics.robot_model import RobotModel
 from hil.robot import HasChecks, HasResource, HasTopics, RobotProcess, Segment
+from hil_drivers.arm import limits_of
+from hil_drivers.cia402.axes_robot import AxesRobot
 from hil_drivers.cia402.can_channel import open_bus
 from hil_drivers.cia402.can_cycle import quick_stop_frames, stop_directly
 from hil_drivers.cia402.commissioning import (
@@ -19,7 +22,6 @@ from hil_drivers.cia402.commissioning import (
     declare,
     require_resettable,
 )
-from hil_drivers.cia402.facts import capabilities_of, identity_of, limits_of
 from hil_drivers.cia402.options import options_of
 from hil_drivers.cia402.player import track_of
 from hil_drivers.cia402.profile import AxisProfile, Scaling
@@ -147,19 +149,22 @@ def test_a_direct_stop_is_a_quick_stop_for_every_axis_and_a_sync(mapping):
 
 
 def test_limits_are_the_stricter_ones_of_maker_and_drives():
-    nobodys, theirs = limits_of("lab6", found()), limits_of("lab6", found(max_torque=1000))
+    nobodys = limits_of("lab6", found().reported_limits)
+    theirs = limits_of("lab6", found(max_torque=1000).reported_limits)
     assert nobodys.effort_max.tolist() == ARM.effort_max.tolist()
     assert theirs.effort_max == pytest.approx(np.minimum(ARM.effort_max, ARM.gear_ratio))
     ends = {"position_limit_min": -(1 << 24), "position_limit_max": 1 << 24}
-    narrow = limits_of("lab6", found(**ends))
+    narrow = limits_of("lab6", found(**ends).reported_limits)
     ends_rad = (1 << 24) * SCALING.position_resolution
     assert narrow.q_max == pytest.approx(np.minimum(ARM.q_max, ends_rad))
     assert narrow.q_min == pytest.approx(np.maximum(ARM.q_min, -ends_rad))
 
 
 def test_gains_are_those_of_the_drives_once_they_are_known():
-    options = options_of(GIVEN | {"effort": "current"}, "lab6")
-    before, after = capabilities_of("lab6", options), capabilities_of("lab6", options, found())
+    robot = AxesRobot("arm", "lab6", **GIVEN, effort="current")
+    before = robot.capabilities
+    robot._session = SimpleNamespace(drives=found())
+    after = robot.capabilities
     assert before.drive_gains == tuple(ARM.drive_gains)
     assert after.drive_gains == pytest.approx(1.0 * ARM.gear_ratio / 2.0)
     assert after.drive_gains_source != before.drive_gains_source
@@ -167,7 +172,7 @@ def test_gains_are_those_of_the_drives_once_they_are_known():
 
 def test_the_identity_has_serials_and_what_was_reset():
     fault = LeftFault(2, "joint_3 (node 3)", (0x8611, 0x8130))
-    who = identity_of("lab6", found(serial=0xABC, revision=0x10002), [fault])
+    who = found(serial=0xABC, revision=0x10002).identity("lab6", [fault])
     assert who.serial.split() == ["abc"] * 6
     assert who.firmware.split() == ["10002"] * 6
     assert "joint_3 (node 3) is in fault: following error (8611h)" in who.details["faults_reset"]

@@ -5,9 +5,18 @@ import pytest
 
 from hil.robot import Status, state_dtype
 from hil.robot.state import Topic
-from hil_drivers.cia402.mapping import ALL_MODES, LATE, MAPPINGS, POSITION, STALLED, cycle_dtype
+from hil_drivers.cia402.mapping import ALL_MODES, MAPPINGS, POSITION
 from hil_drivers.cia402.profile import AxisProfile, Scaling
-from hil_drivers.cia402.rows import TOPIC, StateRows, raw_rows, raw_topic, raw_values
+from hil_drivers.cia402.rows import (
+    LATE,
+    STALLED,
+    TOPIC,
+    StateRows,
+    cycle_dtype,
+    raw_rows,
+    raw_topic,
+    raw_values,
+)
 
 N = 2
 PERIOD_S = 0.004

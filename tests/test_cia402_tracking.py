@@ -12,7 +12,7 @@ from hil_drivers.cia402.axis import Tracking
 from hil_drivers.cia402.bus import Inputs
 from hil_drivers.cia402.mapping import LATENCY
 from hil_drivers.cia402.supervisor import Phase
-from hil_drivers.cia402.torque import Weighed
+from hil_drivers.cia402.torque import GravityComparison
 
 pytestmark = pytest.mark.quick
 
@@ -91,9 +91,11 @@ def test_an_axis_that_runs_away_stops_all_axes() -> None:
     assert "axis 2 (node 12): is 5" in rig.problem()
 
 
-def weighed(measured: list[float]) -> Weighed:
+def weighed(measured: list[float]) -> GravityComparison:
     most = np.array([330.0, 420.0, 330.0])
-    return Weighed(np.array(measured), np.array([0.0, -150.0, 60.0]), most, ("a", "b", "c"))
+    return GravityComparison(
+        np.array(measured), np.array([0.0, -150.0, 60.0]), most, ("a", "b", "c")
+    )
 
 
 def test_torque_that_holds_the_arm_within_friction_is_believed() -> None:

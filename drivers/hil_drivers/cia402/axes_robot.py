@@ -1,8 +1,9 @@
-"""The arm in the process that owns the bus: a `hil.robot.Robot` of as many drives as joints.
+"""The robot in the process that owns the bus: a `hil.robot.Robot` of as many drives as joints.
 
-It turns the calls of `hil.robot.Robot` into those of a `Session` and decides which field bus that
-gets. A stop may come from another thread at any moment, also while the drives are being connected
-or a segment is prepared: `_stops` counts them, and whatever was begun before one is refused.
+`AxesRobot` turns the calls of `hil.robot.Robot` into those of a `Session` and decides on which
+field bus that runs. Another thread may stop at any moment, also while the drives are being
+connected or a segment is being prepared: `_stops` counts the stops, and a connection or preparation
+that began before the last stop is refused.
 """
 
 from __future__ import annotations
@@ -14,11 +15,15 @@ from typing import Any
 from hil.arms import Payload, load_arm
 from hil.core import CommandRefused, RobotFault, RobotTimeout, StructArray
 from hil.robot import Address, Capabilities, Finding, Identity, Limits, Segment, Topic
-from hil_drivers.arm import not_connected, nothing_prepared, require_liftable
+from hil_drivers.arm import (
+    capabilities_of,
+    limits_of,
+    not_connected,
+    nothing_prepared,
+    require_liftable,
+)
 from hil_drivers.cia402.can_bus import CanBus
-from hil_drivers.cia402.commissioning import Commissioned, declare
-from hil_drivers.cia402.facts import capabilities_of, identity_of, limits_of
-from hil_drivers.cia402.findings import findings_of
+from hil_drivers.cia402.commissioning import declare
 from hil_drivers.cia402.mapping import MAPPINGS
 from hil_drivers.cia402.options import options_of
 from hil_drivers.cia402.player import track_of
@@ -26,8 +31,10 @@ from hil_drivers.cia402.rows import raw_topic
 from hil_drivers.cia402.session import NEXT, Session
 from hil_drivers.cia402.torque import GRAVITY, TorqueModel
 
+GAINS_SOURCE = "rated torque and current of the drives (6075h, 6076h) times gear, or the station's"
+
 REST_S = 2.0
-"""How long an arm that was stopped is waited for before its axes are switched off [s]."""
+"""How long an arm may take to come to rest before its axes are switched off [s]."""
 
 
 class AxesRobot:
@@ -68,17 +75,22 @@ class AxesRobot:
     def identity(self) -> Identity:
         """See `hil.robot.Robot`."""
         session = self._connected()
-        return identity_of(self._model, session.drives, session.were_reset)
+        return session.drives.identity(self._model, session.faults_reset)
 
     @property
     def capabilities(self) -> Capabilities:
-        """See `hil.robot.Robot`."""
-        return capabilities_of(self._model, self._options, self._drives)
+        """See `hil.robot.Robot`; once connected, the gains are those of the drives."""
+        rate_hz, effort = self._options.rate_hz, self._options.effort
+        if self._session is None:
+            return capabilities_of(self._model, rate_hz, effort)
+        gains = self._session.drives.scaling.drive_gains
+        return capabilities_of(self._model, rate_hz, effort, gains, GAINS_SOURCE)
 
     @property
     def limits(self) -> Limits:
         """See `hil.robot.Robot`; once connected, none is wider than the drives' own."""
-        return limits_of(self._model, self._drives)
+        session = self._session
+        return limits_of(self._model, session.drives.reported_limits if session else None)
 
     @property
     def topics(self) -> Sequence[Topic]:
@@ -94,10 +106,10 @@ class AxesRobot:
         session = self._healthy()
         model = session.torque or TorqueModel(self._model, self._options.urdf, self._gravity)
         model.mount(self._payload)
-        return list(findings_of(session, model))
+        return list(session.findings(model))
 
     def set_gravity(self, gravity_m_s2: tuple[float, float, float]) -> None:
-        """Gravity in the base frame, for the torque model; before `connect`."""
+        """Set gravity in the base frame [m/s²] for the torque model; call before `connect`."""
         self._gravity = gravity_m_s2
 
     def connect(self) -> None:
@@ -105,7 +117,7 @@ class AxesRobot:
 
         Raises:
             RobotConnectionError, RobotFault, RobotTimeout: See `Session`.
-            CommandRefused: Likewise; or `stop` came meanwhile, and the axes are off.
+            CommandRefused: Likewise; or `stop` was called meanwhile, and the axes are off.
         """
         if self._session is not None and not self._session.trouble.is_there:
             return
@@ -118,7 +130,7 @@ class AxesRobot:
             raise
 
     def _begin(self, stops: int) -> None:
-        """Connect, unless a stop is more than so many."""
+        """Connect, unless `stop` was called since there were so many stops."""
 
         def go_on() -> None:
             if self._stops != stops:
@@ -150,21 +162,21 @@ class AxesRobot:
         require_liftable(payload, self.limits)
         if session.player.moving:
             raise CommandRefused("a load is declared at rest", hint="read until the arm holds")
-        told = payload
+        read_back = payload
         if self._options.payload_object:
-            told = declare(session.acyclic, self._options.payload_object, payload)
+            read_back = declare(session.acyclic, self._options.payload_object, payload)
         self._payload = payload
         if session.torque is not None:
             session.torque.mount(payload)
             session.hold_anew()
-        return told
+        return read_back
 
     def prepare(self, segment: Segment) -> None:
-        """Check and keep the next segment.
+        """Check the next segment and keep it for `start`.
 
         Raises:
             CommandRefused: It leaves the limits, jumps, moves at its ends, or begins elsewhere.
-            RobotFault: The arm does not obey any more.
+            RobotFault: There was a fault since `connect`.
         """
         session, stops = self._healthy(), self._stops
         self._prepared = False
@@ -181,15 +193,15 @@ class AxesRobot:
         )
         session.core.prepare(track)
         self._prepared = stops == self._stops
-        if not self._prepared:  # a stop that has come meanwhile holds
+        if not self._prepared:  # a stop meanwhile takes effect
             raise CommandRefused("stopped while it was prepared", hint="prepare it again")
 
     def start(self) -> None:
         """Begin the prepared segment with the next cycle.
 
         Raises:
-            CommandRefused: Nothing is prepared, or a motion is still on.
-            RobotFault: The arm does not obey any more.
+            CommandRefused: Nothing is prepared, or the arm moves.
+            RobotFault: There was a fault since `connect`.
         """
         session = self._healthy()
         prepared, self._prepared = self._prepared, False
@@ -199,10 +211,10 @@ class AxesRobot:
         self._has_moved = True
 
     def read(self, timeout_s: float = 1.0) -> StructArray:
-        """All samples since the last call.
+        """Return all samples since the last call.
 
-        A fault comes with the rows that show it; the next call raises it, once, so that the arm
-        can still be watched coming to rest.
+        The rows that show a fault are returned; the next call raises the fault, once, so that the
+        arm can be followed until it is at rest.
 
         Raises:
             RobotTimeout: No sample in time.
@@ -240,10 +252,6 @@ class AxesRobot:
         if session is not None:
             session.leave(rest_s=0.0 if session.trouble.is_there else REST_S)
 
-    @property
-    def _drives(self) -> Commissioned | None:
-        return self._session.drives if self._session else None
-
     def _connected(self) -> Session:
         if self._session is None:
             raise not_connected(self._name)
@@ -252,6 +260,7 @@ class AxesRobot:
     def _healthy(self) -> Session:
         session = self._connected()
         if session.trouble.is_there:
-            said = f"{self._name} does not obey since a fault: {session.trouble.said}"
-            raise RobotFault(said, hint=NEXT)
+            raise RobotFault(
+                f"{self._name} does not obey since a fault: {session.trouble.text}", hint=NEXT
+            )
         return session

@@ -40,11 +40,14 @@ from hil.can import (
     Catch,
     bits_of,
     bus_load,
+    is_up,
     runtime_folder,
     socket_path,
     unpack_frame,
+    up_command,
 )
 from hil.core import PluginError, RobotConnectionError, SpecError
+from hil.robot import Finding
 from hil_drivers.cia402.mapping import MAPPINGS, Mapping
 from hil_drivers.option_checks import OptionChecks
 
@@ -80,12 +83,15 @@ BITRATE = 1_000_000
 SIMULATED = ("hil_unix", "virtual")
 """Interfaces of python-can on which time may run faster than on the wall."""
 
+HOSTED_WITHIN_S = 2.0
+"""How long the host of a simulated bus may take to accept a connection [s]."""
+
 _MUST = OptionChecks("cia402")
 
 
 @dataclass(frozen=True, slots=True)
 class CanChannel:
-    """Which bus: the option `bus`.
+    """The bus of a station, its option `bus`.
 
     Attributes:
         interface: Of python-can.
@@ -105,6 +111,30 @@ class CanChannel:
         """Whether drives outside this computer may be on it."""
         vcan = self.interface == "socketcan" and re.fullmatch(r"vcan\d+", self.channel)
         return not (vcan or self.interface in SIMULATED)
+
+    def finding(self) -> Finding:
+        """Return whether the bus is switched on, as far as that can be seen without a frame.
+
+        Nothing is sent: drives answer only a master, and another one may be at work.
+        """
+        if self.interface == "socketcan":
+            up = is_up(self.channel)
+            if up is None:
+                hint = "plug the adapter in; ip link shows the interfaces there are"
+                return Finding("bus", False, f"there is no interface {self.channel}", hint=hint)
+            hint = up_command(self.channel, self.bitrate)
+            return Finding("bus", up, f"{self} is {'up' if up else 'down'}", hint=hint)
+        if self.interface == "hil_unix":
+            with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as line:
+                line.settimeout(HOSTED_WITHIN_S)
+                try:
+                    line.connect(str(socket_path(self.channel)))
+                    hosted = True
+                except OSError:
+                    hosted = False
+            message = f"{self} {'is hosted' if hosted else 'is not hosted by anybody'}"
+            return Finding("bus", hosted, message, hint="start the mock: hil mock can")
+        return Finding("bus", True, f"{self}: its adapter is seen only when it is opened")
 
 
 def bus_of(value: Any) -> CanChannel:

@@ -32,6 +32,8 @@ import numpy as np
 
 from hil.arms import ArmDescription, Payload
 from hil.core import CommandRefused, FloatArray, RobotConnectionError, RobotFault, SpecError
+from hil.robot import Identity
+from hil_drivers.arm import ReportedLimits
 from hil_drivers.cia402 import objects as od
 from hil_drivers.cia402.axis import (
     DISABLE_VOLTAGE,
@@ -124,7 +126,7 @@ class Drive:
 
 @dataclass(frozen=True)
 class Commissioned:
-    """The drives as they were found and set up.
+    """The drives of an arm as they were read and set up.
 
     Attributes:
         drives: In the order of the axes.
@@ -151,26 +153,53 @@ class Commissioned:
 
     @property
     def max_torque(self) -> FloatArray:
-        """(n,) torque limits of the drives at the joints [N·m]; NaN where they do not say."""
+        """(n,) torque limits of the drives at the joints [N·m]; NaN where a drive has none."""
         return np.array([drive.max_torque_nm for drive in self.drives])
 
     @property
+    def reported_limits(self) -> ReportedLimits:
+        """The limits that the drives keep to by themselves."""
+        return ReportedLimits(q_min=self.q_min, q_max=self.q_max, effort_max=self.max_torque)
+
+    def identity(self, model: str, faults_reset: Sequence[LeftFault]) -> Identity:
+        """Return the identity of the arm: its drives (1018h), with everything read of them.
+
+        Args:
+            model: Built-in arm.
+            faults_reset: Faults that were reset when connecting.
+        """
+        details = dict(self.details)
+        if faults_reset:
+            details["faults_reset"] = "; ".join(map(str, faults_reset))
+
+        def of_each_drive(name: str) -> str:
+            return " ".join(f"{drive.objects.get(name, 0):x}" for drive in self.drives)
+
+        return Identity(
+            model=model,
+            serial=of_each_drive("serial"),
+            firmware=of_each_drive("revision"),
+            driver="cia402",
+            details=details,
+        )
+
+    @property
     def details(self) -> Mapping[str, str]:
-        """What the recording's identity keeps: scaling objects as read, and what follows."""
+        """The scaling objects as read, and the scaling that follows from them."""
         names = [n for n in self.drives[0].objects if n not in ("statusword", "error_code")]
-        told = {name: _row([d.objects.get(name, "-") for d in self.drives]) for name in names}
-        told["gear_ratio"] = _row([d.profile.gear_ratio for d in self.drives])
-        told["direction"] = _row([d.profile.direction for d in self.drives])
-        told["offset_deg"] = _row([math.degrees(d.profile.offset_rad) for d in self.drives])
-        told["torque_resolution_nm"] = _row(self.scaling.torque_resolution)
-        told["current_resolution_a"] = _row(self.scaling.current_resolution)
-        told["position_resolution_rad"] = _row(self.scaling.position_resolution)
-        told["velocity_resolution_rad_s"] = _row(self.scaling.velocity_resolution)
+        details = {name: _row([d.objects.get(name, "-") for d in self.drives]) for name in names}
+        details["gear_ratio"] = _row([d.profile.gear_ratio for d in self.drives])
+        details["direction"] = _row([d.profile.direction for d in self.drives])
+        details["offset_deg"] = _row([math.degrees(d.profile.offset_rad) for d in self.drives])
+        details["torque_resolution_nm"] = _row(self.scaling.torque_resolution)
+        details["current_resolution_a"] = _row(self.scaling.current_resolution)
+        details["position_resolution_rad"] = _row(self.scaling.position_resolution)
+        details["velocity_resolution_rad_s"] = _row(self.scaling.velocity_resolution)
         for name in ("velocity_unit", "torque_of"):
-            told[name] = str(getattr(self.drives[0].profile, name))
+            details[name] = str(getattr(self.drives[0].profile, name))
         if lacking := sorted({entry for each in self.lacking for entry in each}):
-            told["drives_lack"] = ", ".join(lacking)
-        return told
+            details["drives_lack"] = ", ".join(lacking)
+        return details
 
 
 def _row(values: Sequence[object] | FloatArray) -> str:

@@ -34,9 +34,10 @@ from hil.core import (
     StructArray,
 )
 from hil_drivers.cia402.bus import Cyclic, Inputs, Outputs
-from hil_drivers.cia402.mapping import LATE, STALLED, Mapping, cycle_dtype
+from hil_drivers.cia402.mapping import Mapping
 from hil_drivers.cia402.options import LATE_CYCLES_SIMULATED
 from hil_drivers.cia402.player import Player, Track, farthest
+from hil_drivers.cia402.rows import LATE, STALLED, cycle_dtype
 from hil_drivers.cia402.supervisor import Phase, Supervisor
 from hil_drivers.cia402.timing import TOLD_AFTER_S, Schedule, Stalls, realtime
 
@@ -259,7 +260,7 @@ class Core:
         return problem
 
     def take(self, timeout_s: float) -> StructArray:
-        """All cycle records (`mapping.cycle_dtype`) since the last call, in order, at least one.
+        """All cycle records (`rows.cycle_dtype`) since the last call, in order, at least one.
 
         Raises:
             RobotTimeout: None came in time.
@@ -498,7 +499,7 @@ class Core:
 
 
 class Ring:
-    """A bounded queue of records (`mapping.cycle_dtype`).
+    """A bounded queue of records (`rows.cycle_dtype`).
 
     Args:
         mapping: Of every axis.
@@ -542,7 +543,7 @@ class Ring:
         Args:
             cyclic: Has exchanged.
             told: Segment and status that were announced with it.
-            fault_code: See `mapping.cycle_dtype`.
+            fault_code: See `rows.cycle_dtype`.
             flags: Likewise.
         """
         self._packing.pack_into(

@@ -1,8 +1,8 @@
-"""Process data: which objects travel in which PDO, and the record that one cycle leaves behind.
+"""Process data: which objects are in which PDO.
 
-A mapping says what all axes get and answer in every cycle. On CAN a PDO is one frame of up to eight
-bytes per axis, which is why the layouts below look the way they do; a bus with room for more
-carries the same PDOs in one datagram. Where they go on CAN (COB-IDs) is said in `can_channel`.
+A mapping has the objects that all axes get and answer in every cycle. On CAN a PDO is one frame of
+up to eight bytes per axis, hence the layouts below; a bus with room for more carries the same PDOs
+in one datagram. Their COB-IDs on CAN are in `can_channel`.
 """
 
 from __future__ import annotations
@@ -21,14 +21,6 @@ MOST_BYTES = 8
 LATENCY = 2
 """Cycles from sending a set-point to the answer in which it is reached: drives apply at a SYNC what
 was sent in the cycle before, and are there one period later (60C2h)."""
-
-LATE = 1 << 30
-"""Flag of a cycle: its SYNC was late. Flag 1 << axis: not all answers of that axis came, its bytes
-are of an earlier cycle."""
-STALLED = 1 << 29
-"""Flag of a cycle: its SYNC came more than 1.5 periods after the one before, at the wall's pace."""
-INCOMPLETE = STALLED - 1
-"""Any of the latter."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +47,7 @@ class Pdo:
 
     @cached_property
     def dtype(self) -> np.dtype[Any]:
-        """The same as a packed record of eight bytes, so that raw data can be viewed as it."""
+        """The same as a packed record of eight bytes, for views of raw data."""
         offsets, at = [], 0
         for entry in self.entries:
             offsets.append(at)
@@ -126,28 +118,3 @@ MINIMAL = Mapping(
 """Position only: 500 Hz fit into 1 Mbit/s; neither velocity nor effort is measured."""
 
 MAPPINGS = {mapping.name: mapping for mapping in (POSITION, ALL_MODES, MINIMAL)}
-
-
-def cycle_dtype(mapping: Mapping, n: int) -> np.dtype[Any]:
-    """What one cycle leaves behind, as it went over the wire.
-
-    Fields: `cycle` (its number, from 0), `host_time` (Unix time at which its SYNC was
-    sent), `segment` and `status` (what the master announced with it), `fault_code` (of the
-    EMCY that the first faulty axis sent, 0 without a fault), `flags` (`INCOMPLETE`, `STALLED`,
-    `LATE`), then the eight bytes of each PDO, `rpdo` (R, n, 8) as sent after this SYNC and `tpdo`
-    (T, n, 8) as answered to it, and `temperature` (n,) [°C], the newest known at the SYNC, NaN
-    before.
-    """
-    return np.dtype(
-        [
-            ("cycle", "<i8"),
-            ("host_time", "<f8"),
-            ("temperature", "<f8", (n,)),
-            ("segment", "<i4"),
-            ("status", "<i4"),
-            ("fault_code", "<i4"),
-            ("flags", "<i4"),
-            ("rpdo", "u1", (len(mapping.rpdos), n, MOST_BYTES)),
-            ("tpdo", "u1", (len(mapping.tpdos), n, MOST_BYTES)),
-        ]
-    )

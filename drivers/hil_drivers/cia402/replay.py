@@ -28,16 +28,10 @@ from hil_drivers.cia402.can_channel import (
 )
 from hil_drivers.cia402.can_cycle import MARKER, Temperatures
 from hil_drivers.cia402.commissioning import profile_fields, profile_of
-from hil_drivers.cia402.mapping import (
-    MAPPINGS,
-    MOST_BYTES,
-    STALLED,
-    Mapping,
-    cycle_dtype,
-)
+from hil_drivers.cia402.mapping import MAPPINGS, MOST_BYTES, Mapping
 from hil_drivers.cia402.options import Options, options_of
 from hil_drivers.cia402.profile import AxisProfile, Scaling
-from hil_drivers.cia402.rows import TOPIC, StateRows, raw_rows, raw_topic
+from hil_drivers.cia402.rows import STALLED, TOPIC, StateRows, cycle_dtype, raw_rows, raw_topic
 from hil_drivers.cia402.timing import Stalls
 
 

@@ -1,7 +1,8 @@
-"""An arm on CiA 402 drives as `hil` drives it: what is done on the bus is done by a process apart.
+"""Driver of an arm on CiA 402 drives: a process of its own owns the bus and its clock.
 
-That process owns the clock of the bus; it can neither be held up by what `hil` does meanwhile, nor
-hold `hil` up. When it does not stop the arm, this one tells the drives itself.
+Neither process can delay the other: `AxesRobot` exchanges cycles in its own process, `Cia402Robot`
+passes calls on to it. If that process does not stop the arm, `Cia402Robot` sends the stop to the
+drives itself.
 """
 
 from __future__ import annotations
@@ -13,19 +14,17 @@ from typing import Any
 
 from hil.core import RobotConnectionError, RobotTimeout
 from hil.robot import Facts, Finding, RecordedLog, RobotProcess
+from hil_drivers.arm import capabilities_of, limits_of
 from hil_drivers.cia402.can_cycle import stop_directly
-from hil_drivers.cia402.facts import capabilities_of, limits_of
 from hil_drivers.cia402.mapping import MAPPINGS
 from hil_drivers.cia402.options import options_of
-from hil_drivers.cia402.reach import reached
 from hil_drivers.cia402.replay import Replay
 from hil_drivers.cia402.rows import raw_topic
 
 DRIVER = "hil_drivers.cia402.axes_robot:AxesRobot"
 
 STOP_S = 0.06
-"""How long its process may take to say that the stop is on its way; then the drives are told
-directly [s]."""
+"""How long its process may take to confirm a stop; then the drives are stopped directly [s]."""
 
 
 class Cia402Robot(RobotProcess):
@@ -41,23 +40,23 @@ class Cia402Robot(RobotProcess):
     """
 
     def __init__(self, name: str, model: str, **options: Any) -> None:
-        self._options = options_of(options, model)
-        can = capabilities_of(model, self._options)
-        mapping = MAPPINGS[self._options.mapping]
+        own = self._options = options_of(options, model)
+        capabilities = capabilities_of(model, own.rate_hz, own.effort)
+        n, rate_hz = len(capabilities.joint_names), capabilities.rate_hz
         known = Facts(
-            capabilities=can,
+            capabilities=capabilities,
             limits=limits_of(model),
-            topics=(raw_topic(mapping, len(can.joint_names), can.rate_hz),),
-            resource=self._options.resource,
+            topics=(raw_topic(MAPPINGS[own.mapping], n, rate_hz),),
+            resource=own.resource,
             identity=None,
             checks=True,
-            address=self._options.address,
+            address=own.address,
         )
         super().__init__(DRIVER, name, model, options, known=known)
 
     def reach(self) -> Sequence[Finding]:
         """See `hil.robot.HasReach`."""
-        return reached(self._options.bus)
+        return [self._options.bus.finding()]
 
     @classmethod
     def read_log(
@@ -67,7 +66,7 @@ class Cia402Robot(RobotProcess):
         return Replay(log, model, options, robot)
 
     def set_gravity(self, gravity_m_s2: tuple[float, float, float]) -> None:
-        """Gravity in the base frame, for the torque model; before `connect`."""
+        """Set gravity in the base frame [m/s²] for the torque model; call before `connect`."""
         self._how["gravity"] = list(gravity_m_s2)
 
     def connect(self) -> None:
@@ -80,7 +79,7 @@ class Cia402Robot(RobotProcess):
         super().connect()
 
     def stop(self) -> None:
-        """Bring the arm to rest: by its process, else by telling the drives directly.
+        """Bring the arm to rest: by its process, else by stopping the drives directly.
 
         Raises:
             RobotConnectionError: Neither way works.

@@ -1,7 +1,9 @@
-"""Cycles as the base robot record, and as a topic with every integer that went over the wire.
+"""The record of a cycle, and the rows that recordings get of it.
 
-A row pairs what was measured at SYNC k with the set-point that was to be reached by then: drives
-apply at SYNC k−1 what was sent in cycle k−2, and are there at SYNC k (60C2h is one period).
+`cycle_dtype` is the record that each cycle leaves, with the bytes as they were on the bus.
+`StateRows` makes the base robot record of them, `raw_rows` a topic with every integer. A state row
+pairs the measurement at SYNC k with the set-point that was to be reached by then: drives apply at
+SYNC k−1 the set-point sent in cycle k−2, and reach it at SYNC k (60C2h is one period).
 """
 
 from __future__ import annotations
@@ -15,9 +17,44 @@ import numpy as np
 from hil.core import BoolArray, FloatArray, IntArray, StructArray
 from hil.robot import Status, Topic, state_dtype
 from hil_drivers.cia402.axis import FOLLOWS_COMMAND, INTERNAL_LIMIT
-from hil_drivers.cia402.mapping import INCOMPLETE, LATENCY, STALLED, Mapping
+from hil_drivers.cia402.mapping import LATENCY, MOST_BYTES, Mapping
 from hil_drivers.cia402.objects import CSP, CST, VELOCITY, Entry
 from hil_drivers.cia402.profile import Scaling
+
+LATE = 1 << 30
+"""Flag of a cycle: its SYNC was late. Flag 1 << axis: not all answers of that axis came, its bytes
+are of an earlier cycle."""
+
+STALLED = 1 << 29
+"""Flag of a cycle: its SYNC came more than 1.5 periods after the one before, at the wall's pace."""
+
+INCOMPLETE = STALLED - 1
+"""Mask of the flags 1 << axis."""
+
+
+def cycle_dtype(mapping: Mapping, n: int) -> np.dtype[Any]:
+    """Return the dtype of the record of one cycle, with the bytes as they were on the bus.
+
+    Fields: `cycle` (its number, from 0), `host_time` (Unix time at which its SYNC was
+    sent), `segment` and `status` (announced by the master with it), `fault_code` (of the EMCY that
+    the first faulty axis sent, 0 without a fault), `flags` (`INCOMPLETE`, `STALLED`, `LATE`), then
+    the eight bytes of each PDO, `rpdo` (R, n, 8) as sent after this SYNC and `tpdo` (T, n, 8) as
+    answered to it, and `temperature` (n,) [°C], the newest known at the SYNC, NaN before.
+    """
+    return np.dtype(
+        [
+            ("cycle", "<i8"),
+            ("host_time", "<f8"),
+            ("temperature", "<f8", (n,)),
+            ("segment", "<i4"),
+            ("status", "<i4"),
+            ("fault_code", "<i4"),
+            ("flags", "<i4"),
+            ("rpdo", "u1", (len(mapping.rpdos), n, MOST_BYTES)),
+            ("tpdo", "u1", (len(mapping.tpdos), n, MOST_BYTES)),
+        ]
+    )
+
 
 TOPIC = "/cia402/raw"
 
@@ -30,12 +67,12 @@ _HEAD = (("cycle", "<i4"), ("segment", "<i4"), ("status", "<i4"), ("fault_code",
 
 
 def raw_topic(mapping: Mapping, n: int, rate_hz: float) -> Topic:
-    """What the drives were told and have answered, integer by integer.
+    """Return the topic of commands to the drives and their answers, integer by integer.
 
-    Commands are those sent in the cycle, `segment` and `status` what was announced with them.
+    Commands are those sent in the cycle; `segment` and `status` were announced with them.
 
     Args:
-        mapping: What travels.
+        mapping: Of the process data.
         n: Number of axes.
         rate_hz: Cycles per second of device time [Hz].
     """
@@ -54,7 +91,7 @@ def raw_topic(mapping: Mapping, n: int, rate_hz: float) -> Topic:
 
 
 def raw_rows(cycles: StructArray, mapping: Mapping, topic: Topic, period_s: float) -> StructArray:
-    """Cycles as rows of `raw_topic`, one each."""
+    """Return cycles as rows of `raw_topic`, one each."""
     rows = topic.blank(len(cycles))
     rows["device_time"], rows["host_time"] = cycles["cycle"] * period_s, cycles["host_time"]
     for name in ("cycle", "segment", "status", "fault_code", "flags"):
@@ -65,7 +102,7 @@ def raw_rows(cycles: StructArray, mapping: Mapping, topic: Topic, period_s: floa
 
 
 def raw_values(cycles: StructArray, mapping: Mapping) -> dict[str, IntArray]:
-    """Name of an object → (N, n) its raw values, for all that travel."""
+    """Return name → (N, n) raw values, for all objects of the process data."""
     values: dict[str, IntArray] = {}
     for side, pdos in (("rpdo", mapping.rpdos), ("tpdo", mapping.tpdos)):
         for at, pdo in enumerate(pdos):
@@ -77,17 +114,17 @@ def raw_values(cycles: StructArray, mapping: Mapping) -> dict[str, IntArray]:
 class StateRows:
     """Turns cycles into state rows; blocks of any cut give the same rows.
 
-    It remembers the last cycles, because set-points of the base record are older than what was
-    measured; velocities and accelerations of set-points are differences of them, as drives make
-    them for themselves. Where the mapping does not carry the velocity, it is the difference of
-    positions from the last complete cycle to this one: half a cycle late, and as coarse as the
-    encoder; an effort that is not carried is NaN.
+    The last cycles are kept, because set-points of the base record are older than the measurement;
+    velocities and accelerations of set-points are differences of them, as drives compute them.
+    Where the mapping has no velocity, it is the difference of positions from the last complete
+    cycle to this one: half a cycle late, and as coarse as the encoder; an effort that the mapping
+    lacks is NaN.
 
     Args:
-        mapping: What travels.
-        scaling: What the integers mean.
+        mapping: Of the process data.
+        scaling: Between raw integers and SI.
         period_s: Device time of a cycle [s].
-        effort: What `effort` is.
+        effort: The quantity that the base record has as `effort`.
     """
 
     def __init__(
@@ -104,7 +141,7 @@ class StateRows:
         self._last: StructArray | None = None
 
     def rows(self, cycles: StructArray) -> StructArray:
-        """State rows of further cycles; those in which an answer was missing leave none."""
+        """Return state rows of further cycles, without those in which an answer was missing."""
         if not len(cycles):
             return np.zeros(0, state_dtype(self._scaling.n))
         before = np.repeat(cycles[:1], _HISTORY) if self._before is None else self._before
@@ -118,7 +155,7 @@ class StateRows:
         return complete
 
     def _measured(self, cycles: StructArray) -> StructArray:
-        """What belongs to the time of the SYNC itself."""
+        """Return rows with the quantities measured at the SYNC."""
         rows = np.zeros(len(cycles), state_dtype(self._scaling.n))
         values, scaling = raw_values(cycles, self._mapping), self._scaling
         rows["device_time"] = cycles["cycle"] * self._period_s
@@ -134,7 +171,7 @@ class StateRows:
         return rows
 
     def _differentiate(self, rows: StructArray) -> None:
-        """Fill in the velocities; the very first row does not move."""
+        """Fill in the velocities; that of the very first row is 0."""
         if not len(rows):
             return
         before = rows[:1] if self._last is None else self._last
@@ -144,9 +181,9 @@ class StateRows:
         self._last = rows[-1:].copy()
 
     def _commanded(self, rows: StructArray, cycles: StructArray) -> None:
-        """What was sent `LATENCY` cycles before.
+        """Fill in the set-points, which were sent `LATENCY` cycles before.
 
-        The set-point after it is known as well, because it has been sent since: differences are
+        The set-point after each is known as well, because it has been sent since: differences are
         central ones, without a delay of half a cycle.
         """
         n = len(rows)
@@ -164,7 +201,7 @@ class StateRows:
     def _effort_target(
         self, values: MappingOf[str, IntArray], n: int, mode: IntArray
     ) -> FloatArray:
-        """Torque that the drives were told; in CSP and CSV they find theirs and do not tell it."""
+        """Return the torque set-points; NaN in CSP and CSV, where drives compute their own."""
         if self._effort == "current" or "target_torque" not in values:
             return np.full((n, self._scaling.n), np.nan)
         torque = self._scaling.torque(values["target_torque"][1 : n + 1])
@@ -179,18 +216,18 @@ def _numpy_code(mapping: Mapping, entry: Entry) -> str:
 def _scaled(
     values: MappingOf[str, IntArray], name: str, in_si: Callable[[IntArray], FloatArray]
 ) -> FloatArray:
-    """(N, n) in SI; one NaN where the mapping does not carry it."""
+    """Return (N, n) values in SI; one NaN where the mapping lacks the object."""
     return in_si(values[name]) if name in values else np.asarray(np.nan)
 
 
 def _common(modes: IntArray) -> IntArray:
-    """(N,) the mode of all axes, 0 where they differ."""
+    """Return (N,) the mode of all axes, 0 where they differ."""
     same = (modes == modes[:, :1]).all(axis=1)
     return np.asarray(np.where(same, modes[:, 0], 0))
 
 
 def _around_stalls(flags: IntArray) -> IntArray:
-    """(N,) `MASKED` in cycles with a late SYNC and the `LATENCY` ones after it.
+    """Return (N,) `MASKED` in cycles with a late SYNC and the `LATENCY` ones after it.
 
     Args:
         flags: (`_HISTORY` + N,) of the cycles before as well.
@@ -202,12 +239,12 @@ def _around_stalls(flags: IntArray) -> IntArray:
 
 
 def _sure(mode: IntArray) -> BoolArray:
-    """(N,) whether the statusword's mode-specific bits mean what they mean in CSP, CSV and CST."""
+    """Return (N,) whether the statusword's mode-specific bits are those of CSP, CSV and CST."""
     return np.asarray((mode >= CSP) & (mode <= CST))
 
 
 def _by_statusword(statusword: IntArray, sure: BoolArray) -> IntArray:
-    """(N,) `FAULT` and `MASKED`, as the statuswords (N, n) of all axes tell."""
+    """Return (N,) `FAULT` and `MASKED`, from the statuswords (N, n) of all axes."""
     faulty = np.isin(statusword & _FAULT_MASK, _FAULTY).any(axis=1)
     enabled = (statusword & _ENABLED_MASK) == _ENABLED
     follows = (statusword & _SUSPECT) == FOLLOWS_COMMAND

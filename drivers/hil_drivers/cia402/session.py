@@ -1,16 +1,16 @@
 """One connection to the drives of an arm, from joining the bus to leaving it.
 
-`Session` sets all drives up, starts the cycles, resets what may be reset, and enables all axes
-where they are; when it ends, it brings the arm to rest, switches the axes off and leaves the bus.
-It holds what an arm has while it is connected, most of it described elsewhere: the drives as they
-were found (`commissioning`), the cycles (`core`), the motion that is played (`player`), the torque
-model. Three things are at home here, because only a connected arm has them:
+`Session` sets all drives up, starts the cycles, resets faults that may be reset, and enables all
+axes where they are; when it ends, it brings the arm to rest, switches the axes off and leaves the
+bus. It has the parts of a connected arm: the drives as they were read (`commissioning`), the cycles
+(`core`), the motion that is played (`player`), the torque model; and its `findings` are the
+driver's lines of a preflight. Three parts are defined here, because only a connected arm has them:
 
 - `Samples` takes the records of the cycles and makes rows of them.
-- `Trouble` knows whether the arm still obeys, and which error the next read raises.
+- `Trouble` follows whether the arm obeys, and has the error that the next read raises.
 - `Thermometer` asks the drives for their temperatures beside the cycles.
 
-No bus is named here: which one it is, is decided by who makes the session.
+No particular bus is named here: `AxesRobot` decides on it.
 """
 
 from __future__ import annotations
@@ -18,13 +18,21 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
 from hil.arms import ArmDescription
-from hil.core import HilError, RobotConnectionError, RobotFault, RobotTimeout, StructArray
-from hil.robot import Status, Topic
+from hil.core import (
+    FloatArray,
+    HilError,
+    RobotConnectionError,
+    RobotFault,
+    RobotTimeout,
+    StructArray,
+)
+from hil.robot import Finding, Limits, Status, Topic
+from hil_drivers.arm import limits_of
 from hil_drivers.cia402 import objects as od
 from hil_drivers.cia402.axis import (
     FAULTY,
@@ -34,7 +42,7 @@ from hil_drivers.cia402.axis import (
     state_of,
     statusword_text,
 )
-from hil_drivers.cia402.bus import Acyclic, Bus, Outputs, pumping
+from hil_drivers.cia402.bus import MASTER_SILENCE_MS, Acyclic, Bus, Outputs, pumping
 from hil_drivers.cia402.commissioning import (
     MODES,
     Commissioned,
@@ -49,43 +57,53 @@ from hil_drivers.cia402.commissioning import (
     unwatch,
 )
 from hil_drivers.cia402.core import Core
-from hil_drivers.cia402.mapping import INCOMPLETE, MAPPINGS
+from hil_drivers.cia402.mapping import MAPPINGS
 from hil_drivers.cia402.mapping import Mapping as PdoMapping
 from hil_drivers.cia402.objects import Entry, error_text
 from hil_drivers.cia402.options import Options
 from hil_drivers.cia402.player import Player, Track, gains_of
-from hil_drivers.cia402.rows import TOPIC, StateRows, raw_rows
-from hil_drivers.cia402.supervisor import Supervisor
+from hil_drivers.cia402.rows import INCOMPLETE, TOPIC, StateRows, raw_rows
+from hil_drivers.cia402.supervisor import Phase, Supervisor
 from hil_drivers.cia402.timing import Schedule
-from hil_drivers.cia402.torque import HINT, TorqueModel, Weighed
+from hil_drivers.cia402.torque import HINT as TORQUE_HINT
+from hil_drivers.cia402.torque import GravityComparison, TorqueModel
 
 REST_LOOK_S = 0.002
 
+HOTTEST_C = 90.0
+"""Motors hotter than this are not moved: windings stand 120 to 155 °C, grease and sensors less."""
+
+OUTSIDE_RAD = 0.01
+"""A joint that rests at its end may be beyond it by so much [rad]."""
+
+MOST_OVERRUN = 0.10
+"""Share of cycles that may be late: CSP drives interpolate over one, and fault after a few."""
+
 
 class Session:
-    """Everything between joining the bus and leaving it.
+    """Drives of an arm, from joining the bus to leaving it.
 
     Args:
         name: Of the robot.
-        arm: Which one it is.
+        arm: Description of the arm.
         options: Of the station.
-        bus: Open; it is left when this ends, or cannot begin.
+        bus: Open; it is left when the session ends, or cannot begin.
         topic: Of the raw rows.
-        torque: The model, where drives are told torques.
+        torque: The model, where the drives get torques.
 
     Attributes:
         acyclic: Objects of the drives.
-        drives: As they were found and set up.
+        drives: As they were read and set up.
         core: The cycles.
         player: Of prepared motions.
-        were_reset: Faults that the drives were in before, and that were reset.
+        faults_reset: Faults that the drives were in at connecting, and that were reset.
         samples: Of the cycles.
-        trouble: What is wrong with the drives.
-        thermometer: Asks them beside the cycles.
+        trouble: Problems of the drives.
+        thermometer: Of the motors.
 
     Raises:
         RobotConnectionError: Drives are not the station's, or the bus is gone.
-        RobotFault: A drive is in a fault that a person has to see to.
+        RobotFault: A drive is in a fault that a person has to remove.
         RobotTimeout, CommandRefused: A drive does not answer, or does not take a setting.
     """
 
@@ -114,10 +132,10 @@ class Session:
         self.thermometer = Thermometer(self.acyclic, options.temperature_object)
 
     def begin(self, go_on: Callable[[], None] = lambda: None) -> None:
-        """Start the cycles, reset what may be reset, enable all axes; they hold where they are.
+        """Start the cycles, reset faults, enable all axes; they hold where they are.
 
         Args:
-            go_on: Called before every step; raises when it is not to be taken.
+            go_on: Called before every step; raises to end here.
 
         Raises:
             RobotTimeout, RobotFault, CommandRefused, RobotConnectionError: See `Core`; the last
@@ -127,7 +145,7 @@ class Session:
         go_on()
         self.acyclic.operational()
         self.core.run()
-        if self.were_reset:
+        if self.faults_reset:
             go_on()
             self.core.reset_faults()
         if not self.mapping.carries_mode:
@@ -135,7 +153,7 @@ class Session:
         go_on()
         self.core.enable(od.CSP)
         go_on()
-        self.look()
+        self.require_plausible_torques()
         go_on()
         if (mode := MODES[self.options.trajectory_mode]) != od.CSP:
             # Led by torque, an arm that is only now enabled would fall until the spring holds it.
@@ -145,41 +163,156 @@ class Session:
         self.samples.forget()
         go_on()
 
-    def look(self) -> None:
-        """Before torques are sent: those that the drives measure have to hold the arm.
+    def require_plausible_torques(self) -> None:
+        """Before torques are sent, compare those that the drives measure with gravity.
 
         Raises:
-            RobotConnectionError: They cannot be what holds it; with axis and figures.
+            RobotConnectionError: They cannot hold the arm; with axis and figures.
         """
-        weighed = None if self.torque is None else self.weighed(self.torque)
-        if weighed is not None and (wrong := weighed.contradictions):
-            raise RobotConnectionError("\n".join(wrong), hint=HINT)
+        comparison = None if self.torque is None else self._compare_with_gravity(self.torque)
+        if comparison is not None and (wrong := comparison.contradictions):
+            raise RobotConnectionError("\n".join(wrong), hint=TORQUE_HINT)
 
-    def weighed(self, model: TorqueModel) -> Weighed | None:
-        """Measure for a moment; the axes hold. None where process data do not carry 6077h.
+    def _compare_with_gravity(self, model: TorqueModel) -> GravityComparison | None:
+        """Measure torques while the axes hold; None where process data do not have 6077h.
 
         Raises:
             RobotError: See `Core.mean_torque`.
         """
         if od.TORQUE not in self.mapping.entries:
             return None
-        scaling = self.drives.scaling
+        scaling, arm = self.drives.scaling, self.arm
         measured = scaling.torque(self.core.mean_torque())
         gravity = model.holding(scaling.position(self.player.position))[0]
-        return Weighed(measured, gravity, np.array(self.arm.effort_max), self.arm.joint_names)
+        return GravityComparison(measured, gravity, np.array(arm.effort_max), arm.joint_names)
 
     def hold_anew(self) -> None:
-        """Hold where the arm is, with the torques that its new load takes.
+        """Hold where the arm is, with the torques that its new load needs.
 
         Raises:
             CommandRefused: It moves.
         """
         if self.torque is None:
             return
-        scaling, held = self.drives.scaling, np.array([self.player.position])
-        torque = scaling.raw_torque(self.torque.holding(scaling.position(held)))
-        self.core.prepare(Track(self.player.segment, held, np.zeros_like(held), torque))
+        scaling, position = self.drives.scaling, np.array([self.player.position])
+        torque = scaling.raw_torque(self.torque.holding(scaling.position(position)))
+        self.core.prepare(Track(self.player.segment, position, np.zeros_like(position), torque))
         self.core.start()
+
+    def findings(self, model: TorqueModel) -> Iterator[Finding]:
+        """Yield the driver's lines of a preflight, with the figures; nothing moves.
+
+        Args:
+            model: Of the arm with its load, for its gravity torques.
+        """
+        objects = [drive.objects for drive in self.drives.drives]
+        kinds = {(o.get("vendor", 0), o.get("product", 0)) for o in objects}
+        makes = ", ".join(f"vendor {v:X}h product {p:X}h" for v, p in sorted(kinds))
+        serials = " ".join(f"{o.get('serial', 0):x}" for o in objects)
+        message = f"{len(objects)} CiA 402 drives: {makes}; serials {serials}"
+        yield Finding("drives", True, message, makes)
+        yield self._enabled_finding()
+        yield self.bus.load()
+        yield self._scaling_finding()
+        yield self._limits_finding()
+        most = self.drives.max_torque
+        limits = " ".join("?" if np.isnan(each) else f"{each:.0f}" for each in most)
+        message = f"drives limit themselves to {limits} N·m (6072h)"
+        yield Finding("torque-limits", True, message, limits)
+        yield self._gravity_finding(model)
+        yield self._watchdog_finding()
+        yield _temperature_finding(self.core.temperature)
+        yield self._cycle_finding()
+        if self.faults_reset:
+            message = "reset when connecting: " + "; ".join(map(str, self.faults_reset))
+            yield Finding("faults-left", True, message, len(self.faults_reset))
+
+    def _enabled_finding(self) -> Finding:
+        phase, options = self.core.phase, self.options
+        read_back = (
+            "6061h, read back in every cycle"
+            if self.mapping.carries_mode
+            else "6061h, read back before enabling; mapping "
+            f"{options.mapping} does not carry it since"
+        )
+        return Finding(
+            "drives-enabled",
+            phase is Phase.ENABLED,
+            f"all axes are {phase.value}, in mode {options.trajectory_mode} ({read_back})",
+            phase.value,
+            Phase.ENABLED.value,
+            "connect again",
+        )
+
+    def _scaling_finding(self) -> Finding:
+        """Return the resolutions; contradictory scaling has already refused the connection."""
+        scaling = self.drives.scaling
+        torque, q = scaling.torque_resolution, scaling.position_resolution
+        given = sorted({key for axis in self.options.axes for key in axis} - {"centre_rad"})
+        source = f"by the station: {', '.join(given)}; all else" if given else "all"
+        message = (
+            f"scaling ({source} by the drives, nothing contradictory): one count of torque is "
+            f"{torque.min():.3g} to {torque.max():.3g} N·m at the joints, one of position "
+            f"{q.max():.2g} rad at most"
+        )
+        return Finding("scaling", True, message, float(torque.max()))
+
+    def _limits_finding(self) -> Finding:
+        drives, arm = self.drives, self.arm
+        makers = limits_of(arm.name)
+        used = limits_of(arm.name, drives.reported_limits)
+        narrower = float(max((used.q_min - makers.q_min).max(), (makers.q_max - used.q_max).max()))
+        message = "joint range used is no wider than the drives' own (607Dh), which is "
+        if narrower <= 0:
+            message += "as wide as the maker's"
+        else:
+            message += f"narrower than the maker's by up to {narrower:.3f} rad"
+        if without := int(np.isnan(drives.q_min).sum()):
+            message += f"; {without} of {len(drives.drives)} drives have no limits of their own"
+        outside = outside_of(drives.scaling.position(self.player.position), used, arm.joint_names)
+        passed = bool((used.q_min < used.q_max).all()) and not outside
+        hint = "correct 607Dh in the drives, or axes.offset_deg in the station"
+        return Finding("joint-limits", passed, "; ".join([*outside, message]), narrower, hint=hint)
+
+    def _gravity_finding(self, model: TorqueModel) -> Finding:
+        """Return whether measured torque can hold the arm; it has to where torques are sent."""
+        options, phase = self.options, self.core.phase
+        comparison = self._compare_with_gravity(model) if phase is Phase.ENABLED else None
+        if comparison is None:
+            message = f"not compared with the arm's weight: mapping {options.mapping}, axes "
+            return Finding("torque-sign", True, message + phase.value, "not compared")
+        if wrong := comparison.contradictions:
+            needed = options.feed_forward or options.trajectory_mode == "cst"
+            message = "; ".join(wrong)
+            message += "" if needed else ". No torque is sent in this mode, but recordings hold it"
+            return Finding("torque-sign", not needed, message, len(wrong), 0, TORQUE_HINT)
+        names = [comparison.names[axis] for axis in comparison.compared]
+        message = f"measured torque holds the arm's weight in {', '.join(names)}"
+        if not names:
+            message = "no joint carries enough weight here to tell the sign of its torque"
+        return Finding("torque-sign", True, message, 0, 0)
+
+    def _watchdog_finding(self) -> Finding:
+        message = (
+            f"every drive stops by itself when it has not heard of us for {MASTER_SILENCE_MS} ms, "
+            f"or lags by more than {self.options.following_error_deg:g}°; read back"
+        )
+        if lacking := sorted({name for each in self.drives.lacking for name in each}):
+            message += f"; not settable: {', '.join(lacking)}"
+        return Finding("drives-watch", True, message, MASTER_SILENCE_MS / 1000)
+
+    def _cycle_finding(self) -> Finding:
+        """Return how punctual the cycles have been since they began."""
+        schedule = self.core.schedule
+        late, p99 = schedule.overrun / max(schedule.cycles, 1), schedule.lateness.percentile(99)
+        message = (
+            f"{schedule.cycles} cycles, {late:.1%} overrun, woken within {1e6 * p99:.0f} µs "
+            f"(99 %); {'; '.join(self.core.not_permitted) or 'real-time priority is permitted'}"
+        )
+        if losses := self.bus.losses():
+            message += f"; {losses}"
+        hint = "free the computer of other work, permit real-time priority, or lower rate_hz"
+        return Finding("cycle", late <= MOST_OVERRUN, message, round(late, 4), MOST_OVERRUN, hint)
 
     def leave(self, *, rest_s: float) -> None:
         """Come to rest, switch all axes off, leave the bus; never raises.
@@ -203,9 +336,9 @@ class Session:
         try:
             self.acyclic.preoperational()
             found = inspected(self.acyclic, self.options, self.arm)
-            # Before they are made to watch for us: the end of that would hide what they are in.
-            self.were_reset: list[LeftFault] = faults_left(self.acyclic)
-            require_resettable(self.were_reset)
+            # Before they watch for this master: the error at the end of that would hide the others.
+            self.faults_reset: list[LeftFault] = faults_left(self.acyclic)
+            require_resettable(self.faults_reset)
             self.drives: Commissioned = configured(self.acyclic, self.options, found)
             self.acyclic.map(self.mapping)
         except BaseException:
@@ -268,12 +401,46 @@ class Session:
         )
 
 
-class Samples:
-    """State rows for who reads, raw rows for who records.
+def outside_of(q: FloatArray, limits: Limits, names: Sequence[str]) -> list[str]:
+    """Return, in words, joints outside of their range: the scaling of their drives is wrong.
 
     Args:
-        core: Keeps the records.
-        mapping: What travels.
+        q: (n,) joint positions [rad].
+        limits: Of the arm and its drives.
+        names: Of the joints.
+    """
+    beyond = (q < limits.q_min - OUTSIDE_RAD) | (q > limits.q_max + OUTSIDE_RAD)
+    degrees = np.degrees(np.stack((q, limits.q_min, limits.q_max)))
+    return [
+        "{} is at {:.1f}°, outside of its range of {:.1f} to {:.1f}°".format(
+            name, *degrees[:, axis]
+        )
+        for axis, name in enumerate(names)
+        if beyond[axis]
+    ]
+
+
+def _temperature_finding(celsius: FloatArray) -> Finding:
+    known = celsius[np.isfinite(celsius)]
+    if not len(known):
+        return Finding("temperatures", True, "the drives tell no temperatures", "not told")
+    values = " ".join("?" if np.isnan(each) else f"{each:.1f}" for each in celsius)
+    return Finding(
+        "temperatures",
+        bool(known.max() <= HOTTEST_C),
+        f"motors at {values} °C",
+        float(known.max()),
+        HOTTEST_C,
+        "let the arm cool down",
+    )
+
+
+class Samples:
+    """State rows for reading, raw rows for recording.
+
+    Args:
+        core: Has the records of the cycles.
+        mapping: Of the process data.
         topic: Of the raw rows.
         rows: Makes state rows.
         period_s: Device time of a cycle [s].
@@ -288,7 +455,7 @@ class Samples:
         self._newest: StructArray | None = None
 
     def take(self, timeout_s: float) -> StructArray:
-        """State rows of all cycles since the last call; none when axes have not answered.
+        """Return state rows of all cycles since the last call; none if axes have not answered.
 
         Raises:
             RobotTimeout: There was no cycle.
@@ -300,12 +467,12 @@ class Samples:
         return self._rows.rows(cycles)
 
     def forget(self) -> None:
-        """Drop what was so far: the axes were being enabled."""
+        """Drop all rows so far: the axes were being enabled."""
         self.take(1.0)
         self._raw = []
 
     def drain(self) -> Mapping[str, StructArray]:
-        """Raw rows since the last call."""
+        """Return raw rows since the last call."""
         raw, self._raw = self._raw, []
         return {TOPIC: np.concatenate(raw)} if raw else {}
 
@@ -324,11 +491,11 @@ class Samples:
         return [a for a, word in enumerate(words) if state_of(word) in FAULTY and a not in silent]
 
 
-WORDS_S, WORDS_LOOK_S = 0.5, 0.005
-"""How long it may take until the core has heard all there is to say of a fault [s]."""
+DETAILS_S, DETAILS_LOOK_S = 0.5, 0.005
+"""How long the core may take to gather all messages about a fault, how often it is asked [s]."""
 
 ASKED_S = 0.1
-"""How long drives may take to say something of themselves, all together [s]."""
+"""How long all drives together may take to answer questions about a fault [s]."""
 
 NEXT = (
     "see to the cause; faults that are for a person are reset by "
@@ -341,57 +508,57 @@ ALL_SILENT = (
 
 
 class Trouble:
-    """Knows whether the arm obeys; raises each fault once.
+    """Whether the arm obeys; raises each fault once.
 
     Args:
         name: Of the robot.
-        core: Says what has stopped the axes.
+        core: Has the message of what has stopped the axes.
         acyclic: Asks the drives themselves.
-        samples: Say who is silent or in fault.
+        samples: Show which axes are silent or in fault.
 
     Attributes:
-        is_there: The arm does not obey any more.
+        is_there: Whether the arm does not obey any more.
     """
 
     def __init__(self, name: str, core: Core, acyclic: Acyclic, samples: Samples) -> None:
         self._name, self._core, self._acyclic, self._samples = name, core, acyclic, samples
-        self._said = ""
-        self._untold = self.is_there = False
+        self._message = ""
+        self._to_raise = self.is_there = False
 
     def look(self, rows: StructArray) -> None:
-        """Look at what was just read, ask the core; new trouble stops all axes by object."""
+        """Update from rows that were just read and from the core; new trouble stops all axes."""
         known = self.is_there
-        if said := self._core.take_problem():
-            self._said, self._untold, self.is_there = said, True, True
+        if message := self._core.take_problem():
+            self._message, self._to_raise, self.is_there = message, True, True
         elif not self.is_there and (rows["status"] & int(Status.FAULT)).any():
-            self._untold = self.is_there = True
+            self._to_raise = self.is_there = True
         if self.is_there and not known:
             stop_by_objects(self._acyclic)
 
     @property
-    def said(self) -> str:
-        """What is wrong, as far as it is known by now."""
-        return self._said or "a drive is in fault"
+    def text(self) -> str:
+        """The problem in words, as far as it is known."""
+        return self._message or "a drive is in fault"
 
     def raise_it(self) -> None:
-        """Raise what was found, once.
+        """Raise the problem, once.
 
         Raises:
-            RobotFault: With the axis, what it says, and what the others do.
+            RobotFault: With the axis, its error, and the states of the others.
         """
-        if not self._untold:
+        if not self._to_raise:
             return
-        self._untold = False
-        until = time.monotonic() + WORDS_S
-        while not self._said and time.monotonic() < until:
-            self._said = self._core.take_problem()
-            time.sleep(WORDS_LOOK_S)
+        self._to_raise = False
+        until = time.monotonic() + DETAILS_S
+        while not self._message and time.monotonic() < until:
+            self._message = self._core.take_problem()
+            time.sleep(DETAILS_LOOK_S)
         all_silent = len(self._samples.silent) == self._acyclic.n
         hint = ALL_SILENT if all_silent else NEXT
-        raise RobotFault(f"{self._name}: {self.said}{self._asked()}", hint=hint)
+        raise RobotFault(f"{self._name}: {self.text}{self._errors_by_object()}", hint=hint)
 
     def silence(self, within_s: float) -> RobotTimeout:
-        """The error for no sample in that time, with who has kept it from being one."""
+        """Return the error for no sample in that time, with the axes that have not answered."""
         names = [self._acyclic.name_of(axis) for axis in self._samples.silent]
         if names:
             return RobotTimeout(
@@ -402,21 +569,21 @@ class Trouble:
             f"{self._name}: no cycle was over within {within_s:g} s", hint="look for a busy machine"
         )
 
-    def _asked(self) -> str:
-        """What drives say of themselves by object: an EMCY may be lost, or all process data."""
+    def _errors_by_object(self) -> str:
+        """Ask the drives by object, in words: an EMCY may be lost, or all process data."""
         acyclic = self._acyclic
         codes = acyclic.upload_each(od.ERROR_CODE, self._faulty(), ASKED_S)
         words = acyclic.upload_each(od.STATUSWORD, self._samples.silent, ASKED_S)
-        told = {
+        answers = {
             "603Fh": [f"{acyclic.name_of(a)} {error_text(code)}" for a, code in codes.items()],
             "6041h": [f"{acyclic.name_of(a)} {statusword_text(word)}" for a, word in words.items()],
         }
-        return "".join(f" ({entry}: {'; '.join(said)})" for entry, said in told.items() if said)
+        return "".join(f" ({entry}: {'; '.join(each)})" for entry, each in answers.items() if each)
 
     def _faulty(self) -> Sequence[int]:
-        """Axes in fault, by the newest row; by what they say where it was an EMCY that told of one.
+        """Return the axes in fault, by the newest row, else by asking for their statuswords.
 
-        A drive sends that before the process data that show the fault, and rows are read later.
+        A drive sends an EMCY before the process data that show the fault, and rows are read later.
         """
         if faulty := self._samples.faulty:
             return faulty
@@ -427,17 +594,17 @@ class Trouble:
 
 
 EVERY_S = 1.0
-"""How often each axis is asked [s]; motors warm up over minutes."""
+"""Time between two questions to the same axis [s]; motors warm up over minutes."""
 
 FIRST_S = 0.2
-"""How long the first answers of all axes are waited for [s]."""
+"""How long all axes together may take for their first answers [s]."""
 
 
 class Thermometer:
     """Asks for one temperature at a time, in turns; the bus takes the answers (`Bus.celsius`).
 
     Args:
-        acyclic: The drives; their answers are not waited for.
+        acyclic: The drives.
         index: Vendor object of every drive, INTEGER16 in 0.1 °C; 0 where there is none.
     """
 
@@ -453,7 +620,7 @@ class Thermometer:
             self._next_s = time.monotonic() + EVERY_S / self._acyclic.n
 
     def look(self) -> None:
-        """Ask the axis whose turn it is, if it is time; never raises, does not wait."""
+        """Ask the next axis if it is time; never raises, does not wait for the answer."""
         now = time.monotonic()
         if now < self._next_s or not self._entry.index:
             return

@@ -1,9 +1,9 @@
-"""The torque that a motion or a posture takes, by a rigid-body model of the arm and its load.
+"""Joint torques of a motion or a pose, by a rigid-body model of the arm and its load.
 
-Drives get it ahead of their own loops: as an offset in CSP (60B2h), as the set-point in CST
-(6071h). Before any torque is sent, `Weighed` compares the torques that the drives measure while
-they hold the arm with those that hold its weight: a wrong sign or scale shows there and moves
-nothing.
+Drives get them ahead of their own loops: as an offset in CSP (60B2h), as the set-point in CST
+(6071h). Before any torque is sent, `GravityComparison` compares the torques that the drives measure
+while they hold the arm with the model's gravity torques: a wrong sign or scale shows there, and
+nothing moves because of it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class TorqueModel:
     Args:
         model: Built-in arm of the station.
         urdf: Path of a better model of this very arm; the built-in one when empty.
-        gravity: (3,) in the base frame [m/s²]: says how the arm is mounted.
+        gravity: (3,) in the base frame [m/s²], by which the mounting of the arm is given.
 
     Raises:
         SpecError: The URDF cannot be used, or has another number of joints.
@@ -40,15 +40,15 @@ class TorqueModel:
         self._loaded = self._bare
 
     def mount(self, payload: Payload) -> None:
-        """From now on with this load, in place of the one before."""
+        """Replace the load."""
         self._loaded = self._bare.with_payload(payload)
 
     def torque(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
-        """(N, n) joint torques [N·m] for a motion, each argument (N, n)."""
+        """Return (N, n) joint torques [N·m] for a motion, each argument (N, n)."""
         return self._loaded.inverse_dynamics(q, qd, qdd)
 
     def holding(self, q: FloatArray) -> FloatArray:
-        """(N, n) joint torques [N·m] that hold the arm still."""
+        """Return (N, n) joint torques [N·m] that hold the arm still."""
         return self._loaded.gravity(np.atleast_2d(q))
 
 
@@ -65,13 +65,14 @@ def _robot_model(model: str, urdf: str, gravity: tuple[float, float, float]) -> 
 
 
 NOTICEABLE = 0.10
-"""Of the joint's largest torque: less weight is not told from friction."""
+"""Share of the joint's largest torque: smaller gravity torques are not distinguished from friction.
+"""
 
 FRICTION = 0.06
-"""Of the same: stick friction may hold so much of the weight, or have to be overcome."""
+"""Share of the joint's largest torque that stick friction may add or take."""
 
 TIMES = 3.0
-"""Models, loads and rated torques may be off by so much."""
+"""Factor by which models, loads and rated torques may be wrong."""
 
 HINT = (
     "look at polarity (607Eh bit 5), axes.direction, rated_torque_nm and offset_deg, at the load "
@@ -80,8 +81,8 @@ HINT = (
 
 
 @dataclass(frozen=True)
-class Weighed:
-    """The arm as it is held: torques that drives measure against its weight.
+class GravityComparison:
+    """Measured torques of an arm that is held still, compared with its gravity torques.
 
     Attributes:
         measured, gravity: (n,) joint torques of the drives and of the model [N·m].
@@ -96,13 +97,13 @@ class Weighed:
 
     @property
     def compared(self) -> list[int]:
-        """Axes that carry noticeable weight."""
+        """Axes whose gravity torque is large enough to be compared."""
         heavy = np.abs(self.gravity) > NOTICEABLE * self.effort_max
         return [int(axis) for axis in np.flatnonzero(heavy)]
 
     @property
     def contradictions(self) -> list[str]:
-        """Axes whose torque cannot be what holds the arm, with the figures."""
+        """For each axis whose measured torque cannot hold the arm: name, figures and reason."""
         return [
             f"{self.names[axis]} measures {self.measured[axis]:.1f} N·m where "
             f"{self.gravity[axis]:.1f} N·m hold the arm: {why}"
