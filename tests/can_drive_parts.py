@@ -9,8 +9,7 @@ import numpy as np
 from hil.arms import load_arm
 from hil_mock_robot.cia402 import keys
 from hil_mock_robot.cia402.axis import joints_of
-from hil_mock_robot.cia402.body import Body
-from hil_mock_robot.cia402.contracts import STEP_S, Demand, Measured
+from hil_mock_robot.cia402.body import STEP_S, Body, Demand, Measured
 from hil_mock_robot.cia402.dictionary import increments_per_rad, registers_of
 from hil_mock_robot.cia402.drive import Drive
 from hil_mock_robot.cia402.power import State

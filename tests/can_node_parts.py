@@ -12,8 +12,8 @@ import canopen
 import pytest
 
 from hil.arms import load_arm
-from hil_mock_robot.cia402.contracts import Registers
 from hil_mock_robot.cia402.dictionary import eds_of, registers_of
+from hil_mock_robot.cia402.keys import Registers
 from hil_mock_robot.cia402.node import Hooks, MockNode
 
 NODE = 3

@@ -8,7 +8,7 @@ from can_drive_parts import ARM, CSP, CST, CSV, HM, PP, OneDrive
 
 from hil_mock_robot.cia402 import keys
 from hil_mock_robot.cia402.axis import wrapped
-from hil_mock_robot.cia402.contracts import STEP_S
+from hil_mock_robot.cia402.body import STEP_S
 from hil_mock_robot.cia402.power import State
 
 LIMIT, FOLLOWS, BIT_13, REACHED = 0x0800, 0x1000, 0x2000, 0x0400

@@ -6,7 +6,7 @@ from can_drive_parts import ARM, CSP, CST, STEPS, SixDrives
 
 from hil.arms.payload import Payload
 from hil_mock_robot.cia402 import keys
-from hil_mock_robot.cia402.contracts import STEP_S
+from hil_mock_robot.cia402.body import STEP_S
 from hil_mock_robot.cia402.power import State
 from hil_mock_robot.plant.model import build_plant
 from hil_mock_robot.plant.truth import draw_truth

@@ -11,8 +11,8 @@ import pytest
 from can_node_parts import NODE, Bench, imported
 
 from hil.arms import load_arm
-from hil_mock_robot.cia402.contracts import key
 from hil_mock_robot.cia402.dictionary import Object, eds_of, raw_real, real, registers_of, variables
+from hil_mock_robot.cia402.keys import key
 
 TYPES = {"i8": 2, "i16": 3, "i32": 4, "u8": 5, "u16": 6, "u32": 7, "f32": 8, "text": 9}
 

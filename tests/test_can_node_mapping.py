@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from can_node_parts import NODE, PRE_OPERATIONAL, SYNC, Bench
 
-from hil_mock_robot.cia402.contracts import key
+from hil_mock_robot.cia402.keys import key
 
 NO_OBJECT, NO_SUB_INDEX, RANGE, STATE = 0x0602_0000, 0x0609_0011, 0x0609_0030, 0x0800_0022
 NOT_MAPPABLE, TOO_LONG, INCOMPATIBLE = 0x0604_0041, 0x0604_0042, 0x0604_0043

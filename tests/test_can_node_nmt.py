@@ -15,7 +15,7 @@ from can_node_parts import (
     Bench,
 )
 
-from hil_mock_robot.cia402.contracts import key
+from hil_mock_robot.cia402.keys import key
 from hil_mock_robot.cia402.node import NmtState
 
 STATES = {

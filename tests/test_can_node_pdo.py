@@ -7,7 +7,7 @@ import struct
 import pytest
 from can_node_parts import EMERGENCY, NODE, PRE_OPERATIONAL, START, Bench
 
-from hil_mock_robot.cia402.contracts import key
+from hil_mock_robot.cia402.keys import key
 
 STATUSWORD, CONTROLWORD, TARGET = 0x6041_0010, 0x6040_0010, 0x607A_0020
 RPDO, TPDO = 0x200 + NODE, 0x180 + NODE

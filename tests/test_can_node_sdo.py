@@ -9,7 +9,7 @@ import canopen
 import pytest
 from can_node_parts import NODE, STOP, Bench
 
-from hil_mock_robot.cia402.contracts import key
+from hil_mock_robot.cia402.keys import key
 
 pytestmark = pytest.mark.quick
 

@@ -15,8 +15,8 @@ from can_node_parts import NODE, SYNC, Bench, dictionary_of
 from canopen.profiles.p402 import BaseNode402
 
 from hil.arms import load_arm
-from hil_mock_robot.cia402.contracts import key
 from hil_mock_robot.cia402.dictionary import registers_of
+from hil_mock_robot.cia402.keys import key
 from hil_mock_robot.cia402.node import MockNode
 
 TICK_S = 0.002

@@ -12,8 +12,8 @@ from hil_drivers.cia402 import can_bus, objects
 from hil_drivers.cia402.commissioning import errors_of
 from hil_drivers.cia402.mapping import ALL_MODES, MINIMAL, POSITION
 from hil_drivers.cia402.objects import Aborted, Entry
-from hil_mock_robot.cia402.contracts import key
 from hil_mock_robot.cia402.dictionary import eds_of
+from hil_mock_robot.cia402.keys import key
 
 pytestmark = pytest.mark.quick
 

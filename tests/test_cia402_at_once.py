@@ -11,7 +11,7 @@ from hil_drivers.cia402 import objects as od
 from hil_drivers.cia402.commissioning import faults_left, part, unwatch
 from hil_drivers.cia402.objects import Entry
 from hil_drivers.cia402.session import Thermometer
-from hil_mock_robot.cia402.contracts import key
+from hil_mock_robot.cia402.keys import key
 
 WATCHED = 127 << 16 | 250
 LONG_S = 5.0

@@ -13,7 +13,7 @@ from hil.core.errors import CommandRefused, RobotConnectionError
 from hil_drivers.cia402.commissioning import configured, inspected, out_of_range
 from hil_drivers.cia402.options import options_of
 from hil_drivers.cia402.profile import AxisProfile
-from hil_mock_robot.cia402.contracts import key
+from hil_mock_robot.cia402.keys import key
 from hil_mock_robot.cia402.sdo import DEVICE_STATE, NO_OBJECT, Abort
 
 GEAR, POLARITY, QUICK_STOP = key(0x6091, 1), key(0x607E), key(0x6085)

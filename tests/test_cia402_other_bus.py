@@ -19,8 +19,8 @@ from hil_drivers.cia402.options import Options, options_of
 from hil_drivers.cia402.rows import raw_topic
 from hil_drivers.cia402.session import Session
 from hil_drivers.cia402.torque import TorqueModel
-from hil_mock_robot.cia402.contracts import key
 from hil_mock_robot.cia402.dictionary import registers_of
+from hil_mock_robot.cia402.keys import key
 
 pytestmark = pytest.mark.quick
 

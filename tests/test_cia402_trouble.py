@@ -13,7 +13,7 @@ from cia402_drives import drives
 from hil.core.errors import RobotFault
 from hil.robot import Status
 from hil_drivers.cia402.session import Trouble
-from hil_mock_robot.cia402.contracts import key
+from hil_mock_robot.cia402.keys import key
 
 pytestmark = pytest.mark.quick
 

@@ -14,9 +14,9 @@ from ur_mock import loopback, mock_ur
 
 from hil.core.errors import CommandRefused, PluginError, SpecError
 from hil_mock_robot.server.options import loopback_of
+from hil_mock_robot.ur.connections import listen
 from hil_mock_robot.ur.dashboard import PRESSES, pressed
 from hil_mock_robot.ur.faults import UrFaults
-from hil_mock_robot.ur.loop import listen
 from hil_mock_robot.ur.mock import TELL, main, serial_of
 from hil_mock_robot.ur.modes import RobotMode, SafetyMode
 from hil_mock_robot.ur.pacing import LockStep

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from ur_machine import machine_of
 
 from hil_mock_robot.server.journal import Journal
-from hil_mock_robot.ur.contracts import Service
+from hil_mock_robot.ur.connections import Service
 from hil_mock_robot.ur.control_script import HANDLERS
 from hil_mock_robot.ur.dashboard import COMMANDS, CONTROL_LOOP
 from hil_mock_robot.ur.faults import UrFault, UrFaults

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from ur_machine import machine_of, pass_time
 
-from hil_mock_robot.ur.contracts import Setpoint
 from hil_mock_robot.ur.dashboard import IdleProgram
 from hil_mock_robot.ur.modes import (
     TRANSITIONS,
@@ -14,6 +13,7 @@ from hil_mock_robot.ur.modes import (
     RuntimeState,
     SafetyMode,
 )
+from hil_mock_robot.ur.motion import Setpoint
 
 TICK_S = 0.008
 

@@ -28,7 +28,8 @@ given = parser_of().parse_args()
 series = series_of(given.model)
 machine = machine_of(given, series)
 service = RtdeService(machine)
-machine.publishers.append(distinct)
+publish = machine._publishing.publish
+machine._publishing.publish = lambda machine: (publish(machine), distinct(machine))
 loop = Loop(machine, [service], pacer_of(given.speed, series), given.address)
 signal.signal(signal.SIGTERM, lambda *_: loop.end())
 print("ready", flush=True)  # noqa: T201

@@ -16,7 +16,8 @@ import numpy as np
 from hil.arms import ArmDescription
 from hil.core import FloatArray
 from hil_mock_robot.cia402 import keys
-from hil_mock_robot.cia402.contracts import STEP_S, Measured, Registers
+from hil_mock_robot.cia402.body import STEP_S, Measured
+from hil_mock_robot.cia402.keys import Registers
 
 TURN = 2.0 * math.pi
 PER_MILLE = 1000.0

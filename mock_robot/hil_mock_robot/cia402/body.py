@@ -1,33 +1,76 @@
-"""The arm under the drives: demands of its axes in, what they measure out, at steps of 1 ms.
+"""The arm under the drives: a `Demand` of each axis in, its `Measured` out, in steps of 1 ms.
 
 `Body` is the arm with its brakes, `PlainServoArm` the simulation with the joint servos of plain
-drives: each knows its own rotor, and nothing of the arm. A robot's own controller feeds forward
-what a model of the whole arm needs; a drive on a bus has position and velocity, an integrator, and
-what its master adds by the torque offset (60B2h).
+drives: each has the inertia of its own rotor and no model of the arm. A robot's own controller
+feeds the torques of such a model forward; a drive on a bus has position and velocity, an
+integrator, and the torque offset of its master (60B2h).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
 from hil.arms import ArmDescription, Payload
 from hil.core import FloatArray
-from hil_mock_robot.cia402.contracts import STEP_S, Demand, Measured
 from hil_mock_robot.plant.records import MOUNTS, SETTLING_S, STATE, Joints
 from hil_mock_robot.plant.sensors import Sensors
 from hil_mock_robot.plant.simulation import Samples, Setting, Simulation
 from hil_mock_robot.plant.step import FAULT_OVERLOAD, FAULT_RUNAWAY, OVERLOAD_S, TRACKING_LIMIT_RAD
 from hil_mock_robot.plant.truth import Truth, published
 
+STEP_S = 0.001
+"""Period of the drives' position loop, and the step of everything [s]."""
+
 STILL_RAD_S = 1e-3
 """On closed brakes an arm slower than this does not move any more."""
 
 GRIP_STEPS = 100
 """Nor does it when the brakes have had so long."""
+
+
+class Demand(NamedTuple):
+    """Demand of one axis on its motor during a block of steps.
+
+    Attributes:
+        setpoints: (N, 3) position [rad], velocity [rad/s] and acceleration [rad/s²] of the joint.
+        torque: Commanded joint torque [N·m] in place of following them; NaN to follow.
+        braked: Whether the holding brake is closed: no current flows.
+        offset: Joint torque [N·m] that the drive adds to the torque of its servo.
+        limit: Largest joint torque of the drive [N·m].
+    """
+
+    setpoints: FloatArray
+    torque: float
+    braked: bool
+    offset: float = 0.0
+    limit: float = math.inf
+
+
+class Measured(NamedTuple):
+    """Measurements of one axis at the end of a block.
+
+    Attributes:
+        q, qd: [rad], [rad/s], with the sensors' noise.
+        torque: From the motor current by the drive's own constants [N·m at the joint].
+        current: Motor current [A].
+        celsius: Of the motor [°C].
+        true_q, true_qd: Without noise, for tests and the journal.
+        limited: Whether the drive gives its largest torque.
+    """
+
+    q: float
+    qd: float
+    torque: float
+    current: float
+    celsius: float
+    true_q: float
+    true_qd: float
+    limited: bool = False
 
 
 class Body:

@@ -22,9 +22,11 @@ import can
 
 from hil.can import ERROR, ERROR_BUS_OFF, EXTENDED, REMOTE, Frame, Hub, runtime_folder, socket_path
 from hil.core import PluginError, RobotConnectionError, SpecError
-from hil_mock_robot.cia402.contracts import Send
 
 HOSTED = "hil_unix"
+
+Send = Callable[[int, bytes], None]
+"""Sends a frame (COB-ID, data) on the bus."""
 
 
 def end_of(

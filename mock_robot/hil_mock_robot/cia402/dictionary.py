@@ -21,7 +21,7 @@ from canopen.objectdictionary import ODArray, ODRecord, ODVariable, datatypes
 
 from hil.arms import ArmDescription
 from hil_mock_robot.cia402 import keys
-from hil_mock_robot.cia402.contracts import Registers, key
+from hil_mock_robot.cia402.keys import Registers, key
 
 Value = int | float | str
 

@@ -1,6 +1,6 @@
 """One drive: controlword and set-points in, demands on its motor and what it measures out.
 
-A drive lives on its registers (`contracts.Registers`) and has no bus. The order within one SYNC is:
+A drive lives on its registers (`keys.Registers`) and has no bus. The order within one SYNC is:
 RPDOs into the registers and TPDOs out of them (the node), then `Drive.advance` of all drives, one
 `Body.advance`, then `Drive.measured` of all drives. `Watch` and `SyncWatch` are what an enabled
 drive monitors on its own: following error, speed, temperature, and a SYNC that stays away.
@@ -12,7 +12,8 @@ from collections.abc import Callable
 
 from hil_mock_robot.cia402 import keys
 from hil_mock_robot.cia402.axis import SCALING, Axis, Joint, write_readings
-from hil_mock_robot.cia402.contracts import STEP_S, Demand, Measured, Registers
+from hil_mock_robot.cia402.body import STEP_S, Demand, Measured
+from hil_mock_robot.cia402.keys import Registers
 from hil_mock_robot.cia402.modes import Operation
 from hil_mock_robot.cia402.node import bits_of
 from hil_mock_robot.cia402.power import (

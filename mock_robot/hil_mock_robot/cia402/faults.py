@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol
 
 from hil.core import CommandRefused, SpecError
+from hil_mock_robot.cia402.body import STEP_S
 from hil_mock_robot.cia402.bus import refused_mapping, refused_object
-from hil_mock_robot.cia402.contracts import STEP_S
 from hil_mock_robot.cia402.station import Station, Unit
 from hil_mock_robot.server.faults import REQUIRED, Fault, Faults, choice, count, number, seconds
 

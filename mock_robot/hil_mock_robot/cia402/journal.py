@@ -1,4 +1,4 @@
-"""The journal of the mock drives: what they were told, what went wrong, when the arm rested."""
+"""The journal of the mock drives: states, faults and motions, and when the arm came to rest."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hil_mock_robot.cia402 import keys
-from hil_mock_robot.cia402.contracts import STEP_S
+from hil_mock_robot.cia402.body import STEP_S
 from hil_mock_robot.cia402.faults import CanFault
 from hil_mock_robot.cia402.power import FAULTED, Command, State, command_of
 from hil_mock_robot.cia402.station import MotionWatch, Station

@@ -1,8 +1,18 @@
-"""Names of the drive's objects as keys of `Registers`."""
+"""Live objects of a drive: `Registers`, and the keys of the objects that the mock gives a meaning.
+
+All objects, with types and access, are in `dictionary`.
+"""
 
 from __future__ import annotations
 
-from hil_mock_robot.cia402.contracts import key
+Registers = dict[int, int]
+"""Live objects of one drive by `key(index, sub)`: raw integers as on the wire, with sign."""
+
+
+def key(index: int, sub: int = 0) -> int:
+    """Return the key of an object in `Registers`."""
+    return index << 8 | sub
+
 
 ERROR_REGISTER = key(0x1001)
 SYNC_COB_ID = key(0x1005)

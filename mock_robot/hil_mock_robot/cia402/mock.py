@@ -1,7 +1,7 @@
 """The mock drives: an arm on CiA 402 drives on a CAN bus.
 
-`Mock` puts the parts together; `main` runs it as a process (`hil mock can`), `mock_on_virtual_bus`
-in a thread of the present one, for tests.
+`Mock` puts the parts together, its `Loop` serves frames between the drives' steps. `main` runs it
+as a process (`hil mock can`), `mock_on_virtual_bus` in a thread of the present one, for tests.
 """
 
 from __future__ import annotations
@@ -9,8 +9,10 @@ from __future__ import annotations
 import argparse
 import gc
 import logging
+import socket
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,17 +23,18 @@ import numpy as np
 from hil.arms import ArmDescription, Payload, arm_names, load_arm
 from hil.core import FloatArray, RecordingError, SpecError
 from hil_mock_robot.cia402 import keys
-from hil_mock_robot.cia402.body import Body
+from hil_mock_robot.cia402.body import STEP_S, Body
 from hil_mock_robot.cia402.bus import HOSTED, BusEnd, end_of, side_path
 from hil_mock_robot.cia402.dictionary import eds_of, object_dictionary, registers_of
 from hil_mock_robot.cia402.faults import CanFault, Target, faults_of_station
 from hil_mock_robot.cia402.journal import Witness
-from hil_mock_robot.cia402.loop import Loop
 from hil_mock_robot.cia402.station import PATIENCE_S, DeviceClock, MotionWatch, Station
 from hil_mock_robot.plant.truth import Profile, Truth, draw_truth
+from hil_mock_robot.server import loop
 from hil_mock_robot.server.cli import Parser, exit_code_of, serve, show, truth_of
 from hil_mock_robot.server.faults import Faults
 from hil_mock_robot.server.journal import journal_of
+from hil_mock_robot.server.loop import Mishaps
 from hil_mock_robot.server.options import mounted_of, pose_of
 from hil_mock_robot.server.side_channel import (
     NO_SIDE,
@@ -292,6 +295,103 @@ class CanRequests(Requests):
             "declared_kg": station.declared.mass,
             "mounted_kg": station.mounted.mass,
         }
+
+
+OWN_STEPS = 10
+"""Steps that the drives' own timer makes in one block."""
+
+SIDE_S = 0.01
+"""Wall time between two looks at the side channel while the bus is busy."""
+
+SLEPT_S = 0.05
+"""A turn that is later by so much: the computer was busy, for the master as well."""
+
+
+class Loop(loop.Loop):
+    """Serves frames between the drives' steps, in one thread.
+
+    Args:
+        end: Of the bus.
+        station: The drives.
+        side: The side channel, if there is one.
+        witness: Writes the journal, if there is one.
+
+    Attributes:
+        mishaps: Mistakes of the mock itself.
+    """
+
+    def __init__(
+        self,
+        end: BusEnd,
+        station: Station,
+        side: SideChannel | None = None,
+        witness: Witness | None = None,
+    ) -> None:
+        super().__init__()
+        self._end, self._station = end, station
+        self._side, self._witness = side, witness
+        self.mishaps = Mishaps()
+        if witness is not None:
+            self.mishaps.listeners.append(witness.stumbled)
+        self._asked: deque[Callable[[], None]] = deque()
+        self._side_due_s = 0.0
+        self._turned_s = time.monotonic()
+        self._beside_bus: list[socket.socket] = [self.woken]
+        end.heard = self._heard
+
+    def run(self) -> None:
+        """Power on, and serve until `end`."""
+        self._station.boot()
+        super().run()
+
+    def ask(self, action: Callable[[], None]) -> None:
+        """Let the loop call `action` between two turns; for other threads."""
+        self._asked.append(action)
+        self.wake()
+
+    def leave(self) -> None:
+        """Leave the bus."""
+        if self._side is not None:
+            self._side.close()
+        self._end.close()
+        if self._witness is not None:
+            self._witness.close(syncs=self._station.clock.syncs)
+
+    def turn(self) -> None:
+        """Handle frames that have come; without SYNC, let the drives' own timer go on."""
+        clock = self._station.clock
+        wait_s = min(clock.wait_s(time.monotonic(), OWN_STEPS), SIDE_S)
+        asked = self._end.serve(wait_s, self._beside_bus)
+        now_s = time.monotonic()
+        if now_s - self._turned_s > SLEPT_S:
+            clock.slept(now_s - self._turned_s)
+        self._turned_s = now_s
+        if clock.wait_s(now_s, OWN_STEPS) <= STEP_S / 10:
+            self._end.serve(0.0)  # a SYNC that had come by then counts
+            self._lapse(now_s)
+        if asked or self._asked or now_s >= self._side_due_s:
+            self._side_due_s = now_s + SIDE_S
+            self._beside()
+
+    def _heard(self, can_id: int, data: bytes, now_s: float) -> None:
+        try:
+            self._station.heard(can_id, data, now_s)
+        except Exception as error:
+            self.mishaps.met(error, f"frame {can_id:03X}#{data.hex()}")
+
+    def _lapse(self, now_s: float) -> None:
+        try:
+            self._station.lapsed(now_s)
+        except Exception as error:
+            self.mishaps.met(error, "the drives' own timer")
+
+    def _beside(self) -> None:
+        self.woke()
+        while self._asked:
+            self._asked.popleft()()
+        if self._side is not None:
+            self._side.serve()
+            self._beside_bus = [self.woken, *self._side.sockets]
 
 
 T = TypeVar("T")

@@ -13,7 +13,7 @@ from typing import Protocol
 
 from hil_mock_robot.cia402 import keys
 from hil_mock_robot.cia402.axis import Axis, Between, Ramp, Trapezoid, held
-from hil_mock_robot.cia402.contracts import STEP_S, Demand
+from hil_mock_robot.cia402.body import STEP_S, Demand
 from hil_mock_robot.cia402.power import (
     AT_ONCE_BIT,
     MODE_BIT_12,

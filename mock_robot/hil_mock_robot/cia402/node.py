@@ -28,7 +28,7 @@ from canopen import nmt
 from canopen.network import Network
 
 from hil_mock_robot.cia402 import keys, sdo
-from hil_mock_robot.cia402.contracts import Registers, Send, key
+from hil_mock_robot.cia402.bus import Send
 from hil_mock_robot.cia402.dictionary import (
     HISTORY,
     N_CONSUMED,
@@ -37,6 +37,7 @@ from hil_mock_robot.cia402.dictionary import (
     eds_of,
     object_dictionary,
 )
+from hil_mock_robot.cia402.keys import Registers, key
 from hil_mock_robot.cia402.pdo import TIMED_OUT, TOO_LONG, TOO_SHORT, Exchange
 from hil_mock_robot.cia402.sdo import (
     CAN_ID,

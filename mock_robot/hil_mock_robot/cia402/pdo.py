@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from hil_mock_robot.cia402 import keys, sdo
-from hil_mock_robot.cia402.contracts import Registers, Send, key
+from hil_mock_robot.cia402.bus import Send
 from hil_mock_robot.cia402.dictionary import (
     CODES,
     N_PDOS,
@@ -21,6 +21,7 @@ from hil_mock_robot.cia402.dictionary import (
     TPDO_PARAMETERS,
     by_key,
 )
+from hil_mock_robot.cia402.keys import Registers, key
 from hil_mock_robot.cia402.sdo import COB_ID, DUMMIES, EVENT_TIMER, INHIBIT, TRANSMISSION, mapped
 
 TOO_SHORT, TOO_LONG, TIMED_OUT = 0x8210, 0x8220, 0x8250

@@ -36,7 +36,8 @@ from enum import Enum, IntEnum
 
 from hil_mock_robot.cia402 import keys
 from hil_mock_robot.cia402.axis import Axis, Ramp, held
-from hil_mock_robot.cia402.contracts import Demand, Registers
+from hil_mock_robot.cia402.body import Demand
+from hil_mock_robot.cia402.keys import Registers
 
 FAULT = 1
 

@@ -26,7 +26,6 @@ from canopen.sdo.constants import (
 )
 
 from hil_mock_robot.cia402 import keys
-from hil_mock_robot.cia402.contracts import Registers, key
 from hil_mock_robot.cia402.dictionary import (
     CODES,
     N_CONSUMED,
@@ -42,6 +41,7 @@ from hil_mock_robot.cia402.dictionary import (
     indices,
     real,
 )
+from hil_mock_robot.cia402.keys import Registers, key
 
 WRITE_ONLY = 0x0601_0001
 READ_ONLY = 0x0601_0002

@@ -17,11 +17,11 @@ import numpy as np
 from hil.arms import Payload
 from hil_mock_robot.cia402 import keys
 from hil_mock_robot.cia402.axis import Joint, joints_of
-from hil_mock_robot.cia402.body import Body
-from hil_mock_robot.cia402.bus import Line
-from hil_mock_robot.cia402.contracts import STEP_S, Registers, Send, key
+from hil_mock_robot.cia402.body import STEP_S, Body
+from hil_mock_robot.cia402.bus import Line, Send
 from hil_mock_robot.cia402.dictionary import N_PDOS, NOT_VALID, RPDO_PARAMETERS, real, registers_of
 from hil_mock_robot.cia402.drive import Drive
+from hil_mock_robot.cia402.keys import Registers, key
 from hil_mock_robot.cia402.node import RESET_NODE, Hooks, MockNode, NmtState
 from hil_mock_robot.cia402.power import State
 from hil_mock_robot.cia402.sdo import COB_ID

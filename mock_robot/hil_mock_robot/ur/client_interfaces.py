@@ -28,7 +28,7 @@ from functools import cache
 
 from hil.arms import ArmDescription
 from hil_mock_robot.plant.records import FAULTS, PROTECTIVE_STOP, RUNAWAY
-from hil_mock_robot.ur.contracts import Link
+from hil_mock_robot.ur.connections import Link
 from hil_mock_robot.ur.machine import Event, Machine
 from hil_mock_robot.ur.modes import RobotMode, RuntimeState, SafetyMode
 from hil_mock_robot.ur.rtde_variables import Series, Values

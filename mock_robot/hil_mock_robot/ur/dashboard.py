@@ -18,8 +18,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from hil.core import CommandRefused, SpecError
-from hil_mock_robot.ur.contracts import Link, Program
-from hil_mock_robot.ur.machine import Event, Machine
+from hil_mock_robot.ur.connections import Link
+from hil_mock_robot.ur.machine import Event, Machine, Program
 from hil_mock_robot.ur.modes import UNLOCK_AFTER_S, RuntimeState, SafetyMode
 from hil_mock_robot.ur.rtde_variables import Series
 from hil_mock_robot.ur.scripts import program_of

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from hil_mock_robot.server.faults import REQUIRED, Fault, Faults, choice, count, number, seconds
-from hil_mock_robot.ur.contracts import Motion
 from hil_mock_robot.ur.machine import Event, Machine
-from hil_mock_robot.ur.motion import StopJoints, StopL
+from hil_mock_robot.ur.motion import Motion, StopJoints, StopL
 from hil_mock_robot.ur.rtde import Ownership
 
 DASHBOARD = 29999

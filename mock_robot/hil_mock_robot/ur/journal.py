@@ -10,7 +10,7 @@ import numpy as np
 
 from hil_mock_robot.server import journal
 from hil_mock_robot.server.journal import Journal, Moment
-from hil_mock_robot.ur.loop import TcpLink
+from hil_mock_robot.ur.connections import TcpLink
 from hil_mock_robot.ur.machine import Event, Machine
 from hil_mock_robot.ur.pacing import Slip
 

@@ -1,34 +1,56 @@
 """The controller itself: one tick after the other, without sockets and without wall time.
 
-`Machine` has the arm, the modes, the program that plays and the motion that moves the arm; whatever
-clients see is in its outputs. `HeatGuard` stops an arm that is too hot. Its limits and codes:
-Universal Robots, error codes C62A1 (joint temperature high) and C62A11 (joint temperature, shut
-down); the real arm switches the joint off then, here that is a protective stop.
+`Machine` has the arm, the modes, the `Program` that plays and the motion that moves the arm; the
+state that clients see is in its outputs. After every tick `Publishing` fills in joints, modes and
+supply, `Cartesian` the outputs that need kinematics: TCP, elbow, accelerometer, wrench. Quantities
+that the plant does not have are simple but plausible (docs/reference/mock-ur-rtde.md,
+docs/reference/mock-ur-motions.md).
+
+`HeatGuard` stops an arm that is too hot. Its limits and codes: Universal Robots, error codes C62A1
+(joint temperature high) and C62A11 (joint temperature, shut down); the real arm switches the joint
+off then, here that is a protective stop.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
+from scipy.linalg.lapack import dposv
 
 from hil.core import FloatArray
 from hil_mock_robot.server.loop import Mishaps
 from hil_mock_robot.ur.body import Body, Reading
-from hil_mock_robot.ur.contracts import NOWHERE, Motion, Place, Program, Setpoint
-from hil_mock_robot.ur.modes import Modes, RobotMode, RuntimeState
-from hil_mock_robot.ur.motion import StopJoints
-from hil_mock_robot.ur.motion_limits import MotionImpossible, joint_leaving_range, out_of_range
-from hil_mock_robot.ur.rtde_variables import (
-    Cartesian,
-    Publishing,
-    Series,
-    Values,
-    inputs_of,
-    outputs_of,
+from hil_mock_robot.ur.kinematics import (
+    Frame,
+    Posture,
+    Triple,
+    compose,
+    frame_of,
+    inverted,
+    lengths_of,
+    pose_from,
+    turned,
+    twist_of,
 )
+from hil_mock_robot.ur.modes import (
+    JOINT_BOOTING,
+    JOINT_FAULT,
+    JOINT_IDLE,
+    JOINT_POWER_OFF,
+    JOINT_RUNNING,
+    SAFETY_BITS,
+    Modes,
+    RobotMode,
+    RuntimeState,
+    SafetyMode,
+)
+from hil_mock_robot.ur.motion import Motion, Setpoint, StopJoints
+from hil_mock_robot.ur.motion_limits import MotionImpossible, joint_leaving_range, out_of_range
+from hil_mock_robot.ur.rtde_variables import Series, Values, inputs_of, outputs_of
 from hil_mock_robot.ur.rtde_wire import Line
 
 PROTECTIVE_STOP_RAD_S2 = 8.0
@@ -37,16 +59,33 @@ PROGRAM_STOP_RAD_S2 = 8.0
 
 
 @dataclass(frozen=True, slots=True)
+class Place:
+    """A place in the text of a program.
+
+    Attributes:
+        line, column: From 1; column 1 if it is not known.
+        token: Text of the program there, `""` for prose.
+    """
+
+    line: int = 1
+    column: int = 1
+    token: str = ""
+
+
+NOWHERE = Place()
+
+
+@dataclass(frozen=True, slots=True)
 class Event:
-    """Something the primary interface and the journal tell.
+    """An event for the primary interface and the journal.
 
     Attributes:
         kind: `program_started`, `program_stopped`, `protective_stop`, `emergency_stop`, `popup`,
             `error`, `text`, `refused`, …
-        name: Of the program, or what else it is about.
+        name: Of the program, or another subject.
         text: In words.
         code: UR's error code C…, 0 for none.
-        place: Where in the text of a program it happened.
+        place: In the text of a program.
     """
 
     kind: str
@@ -58,11 +97,30 @@ class Event:
 
 @dataclass(slots=True)
 class Watchdog:
-    """URScript `rtde_set_watchdog`: what happens when an input is not written often enough."""
+    """URScript `rtde_set_watchdog`: the action if an input is not written within so many ticks."""
 
     variable: str
     ticks: int
     action: str
+
+
+class Program(Protocol):
+    """A robot program, called in each tick as long as it plays.
+
+    Attributes:
+        name: Of its `def`.
+    """
+
+    name: str
+
+    def begin(self, machine: Machine) -> None:
+        """Prepare to play."""
+
+    def tick(self, machine: Machine) -> bool:
+        """Do the work of one tick; return False once the program is over."""
+
+    def end(self, machine: Machine) -> None:
+        """Clean up, at the end or when stopped; the machine brakes a motion that is under way."""
 
 
 class Machine:
@@ -86,8 +144,8 @@ class Machine:
         watchdog: Set by the program that plays.
         speed_fraction: The speed slider, 0 to 1.
         listeners: Told every `Event`.
-        publishers: Called after every tick to fill outputs that need more than the joints.
-        mishaps: Who hears of mistakes in programs and motions.
+        watches: Input → called with the value when a client writes it.
+        mishaps: Mistakes of the mock in programs and motions.
     """
 
     def __init__(self, series: Series, body: Body, *, serial: str, powered: bool = True) -> None:
@@ -107,11 +165,10 @@ class Machine:
         self.listeners: list[Callable[[Event], None]] = []
         self.watches: dict[str, Callable[[Any], None]] = {}
         self.line, self.mishaps = Line(self.tick_s), Mishaps()
-        self.publishers: list[Callable[[Machine], None]] = [Cartesian(self).publish]
         if powered:
             body.release()
         self.setpoint: Setpoint = body.setpoint
-        self._heat, self._publishing = HeatGuard(), Publishing()
+        self._heat, self._publishing = HeatGuard(), Publishing(self)
         self.reading: Reading = body.step(self.setpoint)
         self._publishing.publish(self)
 
@@ -232,9 +289,8 @@ class Machine:
         self.speed_fraction = 1.0
         self.body.forget()
         self.setpoint = self.body.setpoint
-        # What these remember having told or seen was told and seen before.
-        self._heat, self._publishing = HeatGuard(), Publishing()
-        self.publishers[0] = Cartesian(self).publish
+        # Without what they remember of the time before.
+        self._heat, self._publishing = HeatGuard(), Publishing(self)
         self._publishing.publish(self)
         self.tell("booted")
 
@@ -353,3 +409,216 @@ class HeatGuard:
             joint = int(celsius.argmax()) + 1
             machine.protective_stop(CODE)
             machine.tell("text", "C62A11", f"joint {joint}: too hot, {hottest:.0f} °C")
+
+
+SUPPLY_V = 48.0
+
+STANDBY_A = 0.5
+"""Current of control box and joint electronics at 48 V."""
+
+WINDING_OHM = 1.0
+"""Heat in each motor and its amplifier per square of its current: a usual value."""
+
+EXECUTION_MS = 0.35
+"""`actual_execution_time` does not depend on the computer that simulates."""
+
+DEVIATION_RAD = 0.1
+"""Distance of actual from target position that `joint_position_deviation_ratio` counts as 1."""
+
+CURRENT_WINDOW_A = 2.0
+POWER_ON, PROGRAM_RUNNING = 1, 2
+TOOL_RUNNING, TOOL_IDLE = 253, 255
+
+JOINT_MODES = {
+    RobotMode.RUNNING: JOINT_RUNNING,
+    RobotMode.IDLE: JOINT_IDLE,
+    RobotMode.POWER_ON: JOINT_IDLE,
+    RobotMode.BOOTING: JOINT_BOOTING,
+}
+
+
+class Publishing:
+    """Fills in the RTDE outputs of one machine; modes and load only when they change."""
+
+    def __init__(self, machine: Machine) -> None:
+        self._cartesian = Cartesian(machine)
+        self._before: tuple[object, ...] = ()
+        self._payload: object = None
+
+    def publish(self, machine: Machine) -> None:
+        """Fill in the outputs after a tick."""
+        out, seen = machine.outputs, machine.reading
+        out["timestamp"] = machine.now_s
+        for name, values in zip(
+            ("target_q", "target_qd", "target_qdd"), machine.setpoint, strict=True
+        ):
+            out[name] = values.tolist()
+        out["target_current"] = seen.current_target.tolist()
+        out["target_moment"] = seen.moment_target.tolist()
+        out["actual_q"], out["actual_qd"] = seen.q.tolist(), seen.qd.tolist()
+        out["actual_current"] = out["joint_control_output"] = seen.current.tolist()
+        out["joint_temperatures"] = celsius = seen.temperature.tolist()
+        out["tool_temperature"] = celsius[-1]
+        if "joint_position_deviation_ratio" in out:
+            apart = float(np.abs(machine.setpoint[0] - seen.q).max())
+            out["joint_position_deviation_ratio"] = apart / DEVIATION_RAD
+        self._publish_modes(machine)
+        self._publish_load(machine)
+        self._cartesian.publish(machine)
+        out["actual_robot_current"] = _supply_current(machine)
+        out["actual_momentum"] = _momentum(machine)
+
+    def _publish_modes(self, machine: Machine) -> None:
+        out, modes = machine.outputs, machine.modes
+        moving = machine.motion is not None and np.abs(machine.setpoint[1]).max() > 0
+        playing = machine.runtime is RuntimeState.PLAYING
+        out["speed_scaling"] = 1.0 if moving or playing else 0.0
+        out["target_speed_fraction"] = machine.speed_fraction
+        now = modes.robot, modes.safety, machine.runtime
+        if now == self._before:
+            return
+        self._before = now
+        out["robot_mode"], out["safety_mode"] = int(modes.robot), int(modes.safety)
+        out["safety_status_bits"] = SAFETY_BITS[modes.safety]
+        out.offer("safety_status", int(modes.safety))
+        out["runtime_state"] = int(machine.runtime)
+        powered = modes.robot >= RobotMode.POWER_ON
+        out["robot_status_bits"] = POWER_ON * powered + PROGRAM_RUNNING * playing
+        fault = modes.safety in (SafetyMode.FAULT, SafetyMode.VIOLATION)
+        joint = JOINT_FAULT if fault else JOINT_MODES.get(modes.robot, JOINT_POWER_OFF)
+        out["joint_mode"] = [joint] * 6
+        _publish_supply(out, powered=powered, running=modes.robot is RobotMode.RUNNING)
+
+    def _publish_load(self, machine: Machine) -> None:
+        out, payload = machine.outputs, machine.body.declared
+        out.offer("tcp_offset", machine.tcp.tolist())
+        if payload is self._payload:
+            return
+        self._payload = payload
+        out.offer("payload", payload.mass)
+        out.offer("payload_cog", payload.com)
+        out.offer("payload_inertia", payload.inertia)
+
+
+def _supply_current(machine: Machine) -> float:
+    """Return the current of the 48 V supply [A]: electronics, heat in the motors, work."""
+    if machine.modes.robot < RobotMode.POWER_ON:
+        return 0.0
+    seen = machine.reading
+    heat = WINDING_OHM * float(seen.current @ seen.current)
+    work = float(seen.moment_target @ machine.setpoint[1])
+    return STANDBY_A + (heat + max(0.0, work)) / SUPPLY_V
+
+
+def _momentum(machine: Machine) -> float:
+    """Return half the arm and the whole load at the speed of the TCP [kg·m/s]: a rough value."""
+    body = machine.body
+    x, y, z, *_ = machine.outputs["actual_TCP_speed"]
+    moved = 0.5 * float(body.arm.mass.sum()) + body.declared.mass
+    return moved * math.sqrt(x * x + y * y + z * z)
+
+
+def _publish_supply(out: Values, *, powered: bool, running: bool) -> None:
+    """Fill in the outputs that change with the mode only."""
+    out["actual_main_voltage"] = SUPPLY_V
+    out["actual_robot_voltage"] = SUPPLY_V if powered else 0.0
+    out["actual_joint_voltage"] = [SUPPLY_V if powered else 0.0] * 6
+    out["actual_execution_time"] = EXECUTION_MS
+    out["tool_mode"] = TOOL_RUNNING if running else TOOL_IDLE
+    out.offer("actual_current_window", [CURRENT_WINDOW_A] * 6)
+
+
+DAMPING = 0.05
+"""Damping of the least squares: keeps the wrench finite in a singularity."""
+
+
+class Cartesian:
+    """Fills in the outputs of one machine that need kinematics."""
+
+    def __init__(self, machine: Machine) -> None:
+        body = machine.body
+        self._lengths = lengths_of(body.arm)
+        self._gains = body.arm.drive_gains
+        self._gravity: Triple = body.gravity
+        self._rate = 1.0 / machine.tick_s
+        self._damping = DAMPING**2 * np.eye(6)
+        self._setpoint: Setpoint = np.empty((3, 6))
+        self._tcp: FloatArray = np.empty(6)
+        self._before: list[float] | None = None
+
+    def publish(self, machine: Machine) -> None:
+        """Fill in the outputs after a tick."""
+        out, seen = machine.outputs, machine.reading
+        tool = frame_of(machine.tcp)
+        if machine.setpoint is not self._setpoint or machine.tcp is not self._tcp:
+            self._setpoint, self._tcp = machine.setpoint, machine.tcp
+            self._publish_target(out, tool)
+        posture = Posture(self._lengths, seen.q)
+        frame = compose(posture.flange, tool)
+        J = posture.jacobian((frame[9], frame[10], frame[11]))
+        speeds = seen.qd.tolist()
+        out["actual_TCP_pose"] = pose_from(frame)
+        out["actual_TCP_speed"] = twist_of(J, speeds)
+        if "elbow_position" in out:
+            out["elbow_position"] = posture.elbow
+            out["elbow_velocity"] = posture.elbow_velocity(speeds)
+        wrench = self._wrench(machine, J)
+        out["actual_TCP_force"] = wrench
+        out["tcp_force_scalar"] = math.sqrt(wrench[0] ** 2 + wrench[1] ** 2 + wrench[2] ** 2)
+        out["actual_tool_accelerometer"] = felt = self._felt(posture, out["target_TCP_speed"])
+        if "ft_raw_wrench" in out:
+            out["ft_raw_wrench"] = raw_wrench(machine, posture, felt)
+
+    def _publish_target(self, out: Values, tool: Frame) -> None:
+        """Fill in outputs of the set-point, which is mostly at rest in a dwell program."""
+        posture = Posture(self._lengths, self._setpoint[0])
+        frame = compose(posture.flange, tool)
+        J = posture.jacobian((frame[9], frame[10], frame[11]))
+        out["target_TCP_pose"] = pose_from(frame)
+        out["target_TCP_speed"] = twist_of(J, self._setpoint[1])
+
+    def _wrench(self, machine: Machine, jacobian: list[float]) -> list[float]:
+        """Return the wrench at the tool, from the torque that the servo's model does not have."""
+        if machine.body.braked:
+            return [0.0] * 6
+        seen = machine.reading
+        torque = (seen.current_target - seen.current) * self._gains
+        J = np.array(jacobian).reshape(6, 6)
+        _, wrench, _ = dposv(J @ J.T + self._damping, J @ torque)
+        numbers: list[float] = wrench.tolist()
+        return numbers
+
+    def _felt(self, posture: Posture, twist: list[float]) -> Triple:
+        """Return acceleration of the set-point less gravity, in the flange's axes [m/s²]."""
+        before = self._before or twist
+        self._before = twist
+        gx, gy, gz = self._gravity
+        x, y, z = (self._rate * (twist[i] - before[i]) for i in range(3))
+        return turned(inverted(posture.flange), x - gx, y - gy, z - gz)
+
+
+def raw_wrench(machine: Machine, posture: Posture, felt: Triple) -> list[float]:
+    """Return (6,) force [N] and torque [N·m] on the flange, in its axes, about its origin.
+
+    It is weight and inertia of the load that really hangs there, as a point mass that does not
+    turn, and the pushes of the side channel. The sensor is ideal: no noise, no offset, and the
+    declared load is not subtracted.
+
+    Args:
+        machine: With the arm.
+        posture: Of the arm.
+        felt: Acceleration less gravity, in the axes of the flange [m/s²].
+    """
+    load = machine.body.mounted
+    fx, fy, fz = (-load.mass * each for each in felt)
+    x, y, z = load.com
+    wrench = [fx, fy, fz, y * fz - z * fy, z * fx - x * fz, x * fy - y * fx]
+    push = machine.body.pushed
+    if not push.any():
+        return wrench
+    flange = posture.flange
+    J = np.array(posture.jacobian((flange[9], flange[10], flange[11]))).reshape(6, 6)
+    pushed = np.linalg.solve(J @ J.T + DAMPING**2 * np.eye(6), J @ push).tolist()
+    back = inverted(flange)
+    along = (*turned(back, *pushed[:3]), *turned(back, *pushed[3:]))
+    return [a + b for a, b in zip(wrench, along, strict=True)]

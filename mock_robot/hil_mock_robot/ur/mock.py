@@ -23,7 +23,7 @@ from hil_mock_robot.server.options import factor_of, loopback_of, mounted_of, po
 from hil_mock_robot.server.side_channel import Tell
 from hil_mock_robot.ur.body import Body
 from hil_mock_robot.ur.client_interfaces import PRIMARY, SECONDARY, PrimaryService, RealtimeService
-from hil_mock_robot.ur.contracts import Service
+from hil_mock_robot.ur.connections import Service
 from hil_mock_robot.ur.dashboard import DashboardService
 from hil_mock_robot.ur.faults import UrFault, UrFaults
 from hil_mock_robot.ur.journal import Witness

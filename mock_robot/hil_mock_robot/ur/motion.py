@@ -1,22 +1,21 @@
-"""Motions: what moves the set-point from tick to tick.
+"""Motions, which move the set-point from tick to tick.
 
-`MoveJ`, `MoveL` and `MovePath` go along a planned route, `ServoJ`, `SpeedJ` and `SpeedL` follow
-what a client streams, `StopJoints` and `StopL` come to rest. `ToolFollower` keeps the joints with a
-tool that moves on a line.
+`MoveJ`, `MoveL` and `MovePath` follow a planned route, `ServoJ`, `SpeedJ` and `SpeedL` follow the
+set-points that a client streams, `StopJoints` and `StopL` come to rest; all are a `Motion`.
+`ToolFollower` finds joint positions for a tool that moves on a line.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from math import cos, exp, sin, sqrt
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 from scipy.linalg.lapack import dgesv
 
 from hil.arms import ArmDescription
 from hil.core import FloatArray
-from hil_mock_robot.ur.contracts import Setpoint
 from hil_mock_robot.ur.kinematics import (
     Numbers,
     Posture,
@@ -40,10 +39,28 @@ from hil_mock_robot.ur.motion_limits import (
 from hil_mock_robot.ur.path_pieces import Moment, Piece, Size, joint_size
 from hil_mock_robot.ur.routes import Leg, Site, blendable, joint_route, tool_route
 
+Setpoint = FloatArray
+"""(3, 6): position [rad], velocity [rad/s] and acceleration [rad/s²] that the servo follows."""
+
 ROUNDING, BISECTIONS = 1 + 1e-9, 8
 
 BRAKE_RAD_S2 = 8.0
 """A move begins at rest; an arm that still moves when it is commanded brakes with this first."""
+
+
+class Motion(Protocol):
+    """A motion under way, called in each tick of the controller."""
+
+    def advance(self, now: Setpoint, scale: float) -> Setpoint | None:
+        """Return the next set-point, or None once the motion is over.
+
+        Args:
+            now: The present set-point, which was commanded for the tick before.
+            scale: The speed slider, 0 to 1: share of a tick by which motion time advances.
+
+        Returns:
+            A new array. A motion that is over has come to rest: its last set-point has no speed.
+        """
 
 
 class MovePath:

@@ -18,10 +18,9 @@ import numpy as np
 
 from hil.arms import Payload
 from hil.core import CommandRefused, FloatArray
-from hil_mock_robot.ur.contracts import Motion
 from hil_mock_robot.ur.kinematics import Numbers, jacobian, pose_of, solve
 from hil_mock_robot.ur.machine import PROGRAM_STOP_RAD_S2, Machine, Watchdog
-from hil_mock_robot.ur.motion import MovePath, SpeedJ, SpeedL, StopJoints, StopL
+from hil_mock_robot.ur.motion import Motion, MovePath, SpeedJ, SpeedL, StopJoints, StopL
 from hil_mock_robot.ur.routes import Leg
 from hil_mock_robot.ur.script_errors import place_of
 

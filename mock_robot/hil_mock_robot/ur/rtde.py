@@ -16,7 +16,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 from typing import Protocol, runtime_checkable
 
-from hil_mock_robot.ur.contracts import Link
+from hil_mock_robot.ur.connections import Link
 from hil_mock_robot.ur.machine import Machine
 from hil_mock_robot.ur.rtde_wire import (
     LONGEST_NAMES,

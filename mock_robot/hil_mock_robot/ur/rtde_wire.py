@@ -17,7 +17,7 @@ from enum import IntEnum
 from operator import itemgetter
 from typing import Any
 
-from hil_mock_robot.ur.contracts import Link
+from hil_mock_robot.ur.connections import Link
 from hil_mock_robot.ur.rtde_variables import Values, Variable
 
 HEADER = struct.Struct(">HB")

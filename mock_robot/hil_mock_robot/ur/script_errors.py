@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 
 from hil.core import CommandRefused
-from hil_mock_robot.ur.contracts import NOWHERE, Place
+from hil_mock_robot.ur.machine import NOWHERE, Place
 
 LONGEST_TOKEN = 300
 

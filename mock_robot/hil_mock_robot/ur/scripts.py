@@ -7,9 +7,8 @@ import re
 from collections.abc import Iterable
 
 from hil.core import CommandRefused
-from hil_mock_robot.ur.contracts import Program
 from hil_mock_robot.ur.control_script import ControlScript
-from hil_mock_robot.ur.machine import Machine
+from hil_mock_robot.ur.machine import Machine, Program
 from hil_mock_robot.ur.routes import Leg
 from hil_mock_robot.ur.script_errors import ScriptError, place_of
 from hil_mock_robot.ur.script_evaluation import TOO_DEEP

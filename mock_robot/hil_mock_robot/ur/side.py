@@ -19,7 +19,7 @@ from hil_mock_robot.server.side_channel import (
     factor_in,
     listed,
 )
-from hil_mock_robot.ur.contracts import Link
+from hil_mock_robot.ur.connections import Link
 from hil_mock_robot.ur.dashboard import pressed
 from hil_mock_robot.ur.faults import UrFaults
 from hil_mock_robot.ur.machine import Machine
