@@ -401,7 +401,7 @@ def test_what_hangs_at_the_flange_still_does_after_a_reboot():
     machine = machine_of()
 
     def weighs():
-        return float(machine.body._simulation.plant.model.body_mass.sum())
+        return float(machine.body.simulation.plant.model.body_mass.sum())
 
     empty = weighs()
     machine.body.declare(Payload(3.0, (0.0, 0.0, 0.1)))

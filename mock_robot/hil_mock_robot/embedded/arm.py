@@ -1,7 +1,7 @@
-"""The arm and the servo controller that moves it.
+"""The arm of the embedded robot: commands in, state rows out.
 
-`Arm` has the commands, faults and brakes, `Motion` the set-points it plays back, and `Sampling`
-the state rows: what the controller commands and what the sensors report.
+`Arm` has commands, faults and brakes of a `ServoArm`, `Motion` the set-points that are played back,
+and `Sampling` makes state rows of commands and measurements.
 """
 
 from __future__ import annotations
@@ -22,11 +22,12 @@ from hil_mock_robot.embedded.options import (
     truth_of,
     wear_of,
 )
-from hil_mock_robot.plant.records import EMERGENCY_STOP, RUNAWAY, SETTLING_S, timing_of
+from hil_mock_robot.plant.records import EMERGENCY_STOP, RUNAWAY, timing_of
 from hil_mock_robot.plant.sensors import Sensors
 from hil_mock_robot.plant.truth import published
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # loading it takes a second, and `connect` alone needs it
+    from hil_mock_robot.plant.servo_arm import ServoArm
     from hil_mock_robot.plant.simulation import Samples, Simulation
 
 
@@ -42,15 +43,15 @@ class Arm:
 
     Args:
         model: A built-in arm.
-        options: What the station says.
+        options: Of the station.
 
     Attributes:
-        truth: What it is really like.
-        description: What is published about it.
+        truth: Its true parameters.
+        description: Its published description.
         rate_hz: Samples per second.
-        motion: What its controller plays back.
+        motion: The set-points of its controller.
         gravity: In the base frame [m/s²].
-        simulation: None until it is switched on.
+        servo: Arm under its servo; None until it is switched on.
         fault: 0, or a code of `FAULTS` until `switch_on`.
         locked: Whether the mechanical brakes hold it.
 
@@ -63,13 +64,13 @@ class Arm:
         self.description = published(self.truth.arm)
         self.rate_hz = options.rate_hz or self.description.rate_hz
         timing_of(self.rate_hz, options.substep_hz)
-        self._options, self.day = options, options.day
+        self._options = options
         self._wear = wear_of(options, self.description.n_joints)
+        self._sensors = Sensors(self.truth, options.day)
         self.motion = Motion(self.limits, self.rate_hz, start_of(self.description, options))
-        self._declared = Payload()
         self._mounted = mounted_of(options)
         self.gravity = mount_of(options)
-        self.simulation: Simulation | None = None
+        self.servo: ServoArm | None = None
         self.fault = 0
         self.locked = False
 
@@ -82,20 +83,25 @@ class Arm:
         )
 
     @property
+    def powered(self) -> ServoArm:
+        """The arm under its servo, once it is switched on."""
+        assert self.servo is not None
+        return self.servo
+
+    @property
     def on(self) -> Simulation:
         """The simulation of an arm that is switched on."""
-        assert self.simulation is not None
-        return self.simulation
+        return self.powered.simulation
 
     @property
     def device_time(self) -> float:
         """The controller's clock [s]."""
-        return self.simulation.samples / self.rate_hz if self.simulation else 0.0
+        return self.on.samples / self.rate_hz if self.servo else 0.0
 
     @property
     def fastest(self) -> float:
         """True speed of the fastest joint [rad/s]."""
-        return float(np.abs(self.simulation.speed).max()) if self.simulation else 0.0
+        return float(np.abs(self.on.speed).max()) if self.servo else 0.0
 
     @property
     def dead(self) -> bool:
@@ -112,26 +118,31 @@ class Arm:
         """Whether a torque is commanded in place of positions."""
         return bool(np.isfinite(self.on.disturbances.torque).any())
 
-    def build(self) -> Simulation:
-        """A simulation to switch on: the one there is, or a new one, which takes its time."""
-        if self.simulation is not None and not self.dead:
-            return self.simulation
-        from hil_mock_robot.plant.simulation import Setting, Simulation
+    def build(self) -> ServoArm:
+        """Return an arm to switch on: the present one, or a new one, which takes seconds."""
+        if self.servo is not None and not self.dead:
+            return self.servo
+        from hil_mock_robot.plant.servo_arm import ServoArm
+        from hil_mock_robot.plant.simulation import Setting
 
         options = self._options
-        setting = Setting(self.rate_hz, options.substep_hz, self.gravity, options.temperature_c)
-        simulation = Simulation(self.truth, setting, start_of(self.description, options))
-        simulation.set_payloads(self._mounted or self._declared, self._declared)
-        simulation.disturbances.wear[:] = self._wear
-        simulation.settle(SETTLING_S)
-        return simulation
+        return ServoArm(
+            self.truth,
+            Setting(self.rate_hz, options.substep_hz, self.gravity, options.temperature_c),
+            start_of(self.description, options),
+            mounted=self._mounted,
+            declared=None if self.servo is None else self.servo.declared,
+            wear=self._wear,
+            sensors=self._sensors,
+        )
 
-    def switch_on(self, simulation: Simulation) -> None:
-        """Work with what `build` returned, and clear a fault."""
+    def switch_on(self, servo: ServoArm) -> None:
+        """Work with the arm that `build` has returned, and clear a fault."""
         if self.fault:
-            simulation.engage_brakes()
-            self.motion.coast(simulation.position, simulation.speed)
-        self.simulation, self.fault, self.locked = simulation, 0, False
+            servo.brake()
+            servo.release()
+            self.motion.coast(servo.position, servo.speed)
+        self.servo, self.fault, self.locked = servo, 0, False
 
     def mount(self, gravity_m_s2: tuple[float, float, float]) -> None:
         """Be mounted as the station says.
@@ -140,7 +151,7 @@ class Arm:
             SpecError: The option `mount` says otherwise.
             CommandRefused: The robot is switched on already.
         """
-        if self.simulation is not None:
+        if self.servo is not None:
             raise CommandRefused("the mount cannot change once the mock robot is switched on")
         require_same_mount(self._options, gravity_m_s2)
         self.gravity = gravity_m_s2
@@ -160,8 +171,7 @@ class Arm:
             )
         if self.motion.moving:
             raise CommandRefused("the payload cannot change in motion", hint="stop() first")
-        self._declared = payload
-        self.on.set_payloads(self._mounted or payload, payload)
+        self.powered.declare(payload)
 
     def brake(self) -> None:
         """Decelerate along the present path with half the acceleration limit, then hold."""
@@ -180,10 +190,10 @@ class Arm:
         self.fault = fault
 
     def lock(self, fault: int) -> None:
-        """Engage the mechanical brakes: the servo has failed at its task (a code of `FAULTS`)."""
+        """Close the mechanical brakes: the servo has failed at its task (a code of `FAULTS`)."""
         self.fault, self.locked = fault, True
         if not self.dead:
-            self.on.engage_brakes()
+            self.powered.brake()
             self.on.disturbances.torque[:] = np.nan
             self.motion.coast(self.on.position, self.on.speed)
 
@@ -411,7 +421,6 @@ class Sampling:
 
     def __init__(self, arm: Arm) -> None:
         self._arm = arm
-        self._sensors = Sensors(arm.truth, arm.day)
         self._dtype = state_dtype(arm.description.n_joints)
         self.qd: FloatArray = np.zeros((0, arm.description.n_joints))
 
@@ -435,10 +444,10 @@ class Sampling:
         return rows
 
     def _by_position(self, count: int) -> tuple[StructArray, Samples]:
-        arm, simulation = self._arm, self._arm.on
+        arm = self._arm
         setpoints, status = arm.motion.take(count)
-        first = simulation.samples
-        samples = simulation.stand(len(status)) if arm.locked else simulation.advance(setpoints)
+        first = arm.on.samples
+        samples = arm.powered.follow(setpoints)
         rows = self._measured(samples, first)
         done = len(rows)
         rows["status"] = status[:done]
@@ -467,8 +476,6 @@ class Sampling:
         rows["device_time"] = (first + 1 + np.arange(len(rows))) / arm.rate_hz
         rows["host_time"] = EPOCH_S + rows["device_time"]
         rows["segment"] = arm.motion.segment
-        measured = self._sensors.measure(
-            samples["q"], samples["qd"], samples["current"], samples["celsius"]
-        )
+        measured = arm.powered.measure(samples)
         rows["q"], rows["qd"], rows["effort"], rows["temperature"] = measured
         return rows

@@ -181,7 +181,7 @@ class MockRobot:
         Raises:
             RobotConnectionError: The line was cut by an injected fault.
         """
-        if self._arm.simulation is None:
+        if self._arm.servo is None:
             return
         with self._told("stop") as told:
             told.details["moving"] = self._arm.moving
@@ -216,7 +216,7 @@ class MockRobot:
         """Let an external joint torque (n,) [N·m] act from now on; zeros end it."""
         with self._lock:
             self._controller.require_connection()
-            self._arm.on.disturbances.push[:] = torque
+            self._arm.powered.push(np.asarray(torque, dtype=float))
 
     def fault(self, kind: str, **keys: Any) -> contextlib.ExitStack:
         """Let something go wrong now; in a `with` statement until its end.

@@ -1,4 +1,8 @@
-"""The arm under the controller: set-points in, one reading per tick out, and what goes wrong."""
+"""The arm under the mock UR controller: a set-point in, one `Reading` per tick out.
+
+`Body` is a `ServoArm` with what a UR controller does to it: it starts on its brakes, may be deaf to
+a declared load, and its model of the arm is asked for torques.
+"""
 
 from __future__ import annotations
 
@@ -8,23 +12,22 @@ import numpy as np
 
 from hil.arms import ArmDescription, Payload
 from hil.core import FloatArray
-from hil_mock_robot.plant.records import SETTLING_S
-from hil_mock_robot.plant.sensors import Sensors
-from hil_mock_robot.plant.simulation import Setting, Simulation
-from hil_mock_robot.plant.truth import Truth, published
+from hil_mock_robot.plant.servo_arm import ServoArm
+from hil_mock_robot.plant.simulation import Setting
+from hil_mock_robot.plant.truth import Truth
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reading:
-    """What the joints report at the end of a tick; arrays are (6,).
+    """Reports of the joints at the end of a tick; arrays are (6,).
 
     Attributes:
         q, qd: Measured position [rad] and velocity [rad/s].
         current: Measured motor current [A].
         temperature: [°C].
-        current_target: What the servo's model asks for [A].
+        current_target: Current by the servo's model [A].
         moment_target: Torque of the set-point by the controller's model, without friction [N·m].
-        true_q, true_qd: Without noise, for those who judge.
+        true_q, true_qd: Without noise, for tests and the journal.
         fault: 0, or a code of `plant.records.FAULTS`.
     """
 
@@ -39,123 +42,71 @@ class Reading:
     fault: int
 
 
-class Body:
-    """One drawn arm, powered or standing on its brakes.
+class Body(ServoArm):
+    """The arm of a UR controller, powered or standing on its brakes.
 
     Args:
-        truth: What it is really like.
+        truth: Its true parameters.
         rate_hz: Ticks per second.
         q: (6,) where it stands when it is switched on [rad].
-        mounted: What really hangs at the flange; what is declared when None.
+        mounted: The load that really hangs at the flange; the declared one when None.
 
     Attributes:
-        arm: What is published about it.
-        braked: Whether the mechanical brakes hold it: nothing moves, no current flows.
-        declared: The load the controller believes in.
-        deaf: Whether it goes on believing in that, whatever is declared.
+        arm: Its published description, with the joint limits of the safety settings.
+        deaf: Whether the controller keeps its load, whatever is declared.
     """
 
     def __init__(
-        self,
-        truth: Truth,
-        rate_hz: float,
-        q: FloatArray,
-        *,
-        mounted: Payload | None = None,
+        self, truth: Truth, rate_hz: float, q: FloatArray, *, mounted: Payload | None = None
     ) -> None:
-        self.arm: ArmDescription = published(truth.arm)
+        super().__init__(truth, Setting(rate_hz), q, mounted=mounted)
+        self.arm: ArmDescription = self.published
         self.braked = True
-        self.declared = Payload()
         self.deaf = False
-        self._mounted = mounted
-        self._sensors = Sensors(truth)
-        self._simulation = Simulation(truth, Setting(rate_hz), q)
-        self._simulation.set_payloads(mounted or self.declared, self.declared)
-        self._simulation.settle(SETTLING_S)
-
-    @property
-    def setpoint(self) -> FloatArray:
-        """(3, 6) what the servo follows now."""
-        return self._simulation.setpoint
 
     @property
     def gravity(self) -> tuple[float, float, float]:
         """In the base frame [m/s²]."""
-        return self._simulation.setting.gravity
-
-    @property
-    def mounted(self) -> Payload:
-        """What really hangs at the flange."""
-        return self._mounted or self.declared
-
-    def step(self, setpoint: FloatArray) -> Reading:
-        """Follow a set-point (3, 6) for one tick; the brakes ignore it."""
-        simulation = self._simulation
-        if self.braked:
-            samples = simulation.stand(1)
-        else:
-            samples = simulation.advance(setpoint[None])
-            if not len(samples):  # it ran away: whoever simulates it stops it here
-                self.braked = True
-                return self._broken(samples.fault)
-        q, qd, current, celsius = (samples[name] for name in ("q", "qd", "current", "celsius"))
-        seen = self._sensors.measure(q, qd, current, celsius)
-        target = samples["current_target"][0]
-        moment = simulation.moment_target if not self.braked else np.zeros_like(target)
-        q_seen, qd_seen, current_seen, celsius_seen = (each[0] for each in seen)
-        return Reading(
-            q_seen, qd_seen, current_seen, celsius_seen, target, moment, q[0], qd[0], samples.fault
-        )
-
-    def brake(self) -> None:
-        """Let the mechanical brakes hold the arm where it is."""
-        self._simulation.engage_brakes()
-        self.braked = True
-
-    def release(self) -> None:
-        """Let the servo hold the arm where it is."""
-        if self.braked:
-            self._simulation.engage_brakes()
-            self.braked = False
-
-    def declare(self, payload: Payload) -> None:
-        """Believe in another load, and mount it unless something else is said to hang there."""
-        if self.deaf:
-            return
-        self.declared = payload
-        self._simulation.set_payloads(self.mounted, payload)
-
-    def forget(self) -> None:
-        """Believe in no load any more; what hangs at the flange stays there."""
-        hanging, self.declared = self.mounted, Payload()
-        self._simulation.set_payloads(hanging, self.declared)
-
-    def mount(self, payload: Payload | None) -> None:
-        """Hang something to the flange, whatever is declared; None for what is declared."""
-        self._mounted = payload
-        self._simulation.set_payloads(self.mounted, self.declared)
-
-    def push(self, torque: FloatArray) -> None:
-        """Let an external joint torque (6,) [N·m] act from now on; zeros end it."""
-        self._simulation.disturbances.push[:] = torque
+        return self.simulation.setting.gravity
 
     @property
     def pushed(self) -> FloatArray:
         """(6,) the external joint torque that acts [N·m]."""
-        return self._simulation.disturbances.push
+        return self.simulation.disturbances.push
+
+    def step(self, setpoint: FloatArray) -> Reading:
+        """Follow a set-point (3, 6) for one tick; closed brakes ignore it."""
+        samples = self.follow(setpoint[None])
+        if not len(samples):  # the simulation has run away: it ends here, on the brakes
+            self.braked = True
+            nan = np.full(self.arm.n_joints, np.nan)
+            return Reading(nan, nan, nan, nan, nan, nan, nan, nan, samples.fault)
+        q, qd, current, celsius = (each[0] for each in self.measure(samples))
+        target = samples["current_target"][0]
+        moment = np.zeros_like(target) if self.braked else self.simulation.moment_target
+        return Reading(
+            q, qd, current, celsius, target, moment, samples["q"][0], samples["qd"][0],
+            samples.fault,
+        )  # fmt: skip
+
+    def declare(self, payload: Payload) -> None:
+        """See `ServoArm`; a deaf controller keeps the load that it has."""
+        if not self.deaf:
+            super().declare(payload)
+
+    def forget(self) -> None:
+        """Compute with no load any more; the load at the flange stays there."""
+        hanging, self.declared = self.mounted, Payload()
+        self.simulation.set_payloads(hanging, self.declared)
 
     def heat(self, joint: int, celsius: float) -> None:
         """Set the temperature of one joint [°C]."""
-        self._simulation.joints.states["celsius"][joint] = celsius
+        self.simulation.joints.states["celsius"][joint] = celsius
 
     def mass_matrix(self, q: FloatArray) -> FloatArray:
-        """(6, 6) of the controller's model at `q` (6,) [kg·m²]."""
-        return self._simulation.nominal.mass_matrix(q)
+        """Return (6, 6) of the controller's model at `q` (6,) [kg·m²]."""
+        return self.simulation.nominal.mass_matrix(q)
 
     def torque_for(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
-        """(6,) what a motion needs by the controller's model, without friction [N·m]."""
-        return self._simulation.nominal.inverse(q, qd, qdd)
-
-    def _broken(self, fault: int) -> Reading:
-        nan = np.full(self.arm.n_joints, np.nan)
-        return Reading(nan, nan, nan, nan, nan, nan, nan, nan, fault)
+        """Return (6,) torque of a motion by the controller's model, without friction [N·m]."""
+        return self.simulation.nominal.inverse(q, qd, qdd)
