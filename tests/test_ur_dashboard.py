@@ -9,11 +9,10 @@ from fuzzing import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from ur_control_parts import HOME
-from ur_machine import SERIAL, Wire, machine_of, pass_time
+from ur_machine import SERIAL, Wire, machine_of, movej, pass_time
 
 from hil_mock_robot.ur.dashboard import COMMANDS, LONGEST_LINE, DashboardService
 from hil_mock_robot.ur.modes import RobotMode, RuntimeState
-from hil_mock_robot.ur.motion import MoveJ
 
 REFUSAL = (
     "Command is not allowed due to safety reasons, please switch robot to Remote Control mode "
@@ -297,7 +296,7 @@ def test_programs_may_be_given_for_files():
 def test_the_program_of_urs_control_loop_example_moves_to_what_it_is_sent(cb3):
     """The client's side is that of `example_control_loop.py` of UR's own RTDE client."""
     machine = cb3.machine
-    machine.move(MoveJ(HOME, 2.0, 10.0, machine.tick_s))
+    machine.move(movej(HOME, 2.0, 10.0, machine.tick_s))
     pass_time(machine, 3.0)
 
     def kick(word, until, seconds=20.0):
@@ -372,14 +371,11 @@ def test_cb3_knows_no_local_control(cb3):
 
 def test_popups_and_log_lines_are_told(cb3):
     assert cb3.ask("popup Mind the arm") == "showing popup"
-    assert cb3.service.pendant.popup == "Mind the arm"
     assert cb3.ask("addToLog load 3 is on") == "Added log message"
     assert [(event.kind, event.text) for event in cb3.events] == [
         ("popup", "Mind the arm"),
         ("text", "load 3 is on"),
     ]
-    cb3.ask("close popup")
-    assert cb3.service.pendant.popup == ""
 
 
 @pytest.mark.parametrize("mode", ["MANUAL", "AUTOMATIC"])
@@ -436,10 +432,8 @@ def test_a_role_is_kept(cb3):
 
 def test_a_controller_that_has_booted_has_nothing_loaded(cb3):
     cb3.ask("load a.urp")
-    cb3.ask("popup hello")
     cb3.machine.tell("booted")
     assert cb3.ask("get loaded program") == "No program loaded"
-    assert cb3.service.pendant.popup == ""
 
 
 PAGE = Path(__file__).parents[1] / "docs" / "reference" / "mock-ur-dashboard.md"

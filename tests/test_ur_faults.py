@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from ur_machine import Wire, machine_of, pass_time
+from ur_machine import Wire, machine_of, movej, pass_time
 
 from hil.arms.payload import Payload
 from hil.core.errors import SpecError
@@ -14,7 +14,7 @@ from hil_mock_robot.ur.dashboard import IdleProgram
 from hil_mock_robot.ur.faults import Target, UrFault, UrFaults
 from hil_mock_robot.ur.machine import CODE
 from hil_mock_robot.ur.modes import RobotMode, RuntimeState, SafetyMode
-from hil_mock_robot.ur.motion import MoveJ, StopJoints
+from hil_mock_robot.ur.motion import StopJoints
 from hil_mock_robot.ur.rtde import Ownership
 from hil_mock_robot.ur.rtde_wire import Framer, Kind, Line, package
 
@@ -284,7 +284,7 @@ def turn(machine, faults, seconds):
 
 
 def aside(machine):
-    machine.move(MoveJ(machine.setpoint[0] + 0.5, 1.0, 2.0, machine.tick_s))
+    machine.move(movej(machine.setpoint[0] + 0.5, 1.0, 2.0, machine.tick_s))
 
 
 @pytest.mark.parametrize(

@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from ur_machine import machine_of, pass_time
+from ur_machine import machine_of, movej, pass_time
 
 from hil.arms.payload import Payload
 from hil_mock_robot.ur import kinematics
-from hil_mock_robot.ur.motion import MoveJ
 
 BENT = np.array([0.2, -1.4, 1.6, -1.7, -1.5, 0.1])
 NO_TOOL = np.zeros(6)
@@ -30,7 +29,7 @@ def test_it_carries_what_really_hangs_there_whatever_is_declared():
 
 def test_it_feels_pushes_in_its_own_axes():
     machine = machine_of("ur5e")
-    machine.move(MoveJ(BENT, 2.0, 10.0, machine.tick_s))
+    machine.move(movej(BENT, 2.0, 10.0, machine.tick_s))
     pass_time(machine, 3.0)
     before = np.array(machine.outputs["ft_raw_wrench"])
     J = np.asarray(kinematics.jacobian(machine.body.arm, BENT, NO_TOOL))

@@ -5,13 +5,12 @@ import socket
 import struct
 
 import pytest
-from ur_machine import Wire, machine_of, pass_time
+from ur_machine import Wire, machine_of, movej, pass_time
 from ur_raw import Raw, address
 
 from hil_mock_robot.ur.faults import UrFaults
 from hil_mock_robot.ur.loop import Loop
 from hil_mock_robot.ur.modes import RuntimeState
-from hil_mock_robot.ur.motion import MoveJ
 from hil_mock_robot.ur.pacing import FreeRun, LockStep
 from hil_mock_robot.ur.program import Threaded
 from hil_mock_robot.ur.rtde import RtdeService
@@ -63,7 +62,7 @@ def test_a_mistake_in_a_program_ends_that_program_and_says_so(capsys):
 def test_a_mistake_in_a_motion_brakes_the_arm():
     machine = machine_of()
     contained(machine)
-    machine.move(MoveJ(machine.setpoint[0] + 0.5, 1.0, 2.0, machine.tick_s))
+    machine.move(movej(machine.setpoint[0] + 0.5, 1.0, 2.0, machine.tick_s))
     pass_time(machine, 0.3)
     assert machine.setpoint[1].any()
     machine.move(BrokenMotion())

@@ -5,14 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+from ur_machine import movej, movej_to_pose, movel
 
 from hil.arms import load_arm
 from hil_mock_robot.ur.kinematics import pose_of, pose_trans, tool_velocity
 from hil_mock_robot.ur.motion import (
     Leg,
-    MoveJ,
-    MoveJPose,
-    MoveL,
     MovePath,
     ServoJ,
     SpeedJ,
@@ -108,7 +106,7 @@ class TestMoveJ:
     def test_it_keeps_speed_and_acceleration_and_ends_at_rest_just_where_it_should(
         self, goal, v, a, tick, sliders
     ):
-        path = play(MoveJ(goal, v, a, tick), tick=tick, sliders=sliders)
+        path = play(movej(goal, v, a, tick), tick=tick, sliders=sliders)
         speeds, accelerations = steps_of(path, tick)
         assert np.abs(path[:, 1]).max() <= v * ROUNDING
         assert np.abs(path[:, 2]).max() <= a * ROUNDING
@@ -120,7 +118,7 @@ class TestMoveJ:
     @given(goal=GOALS, sliders=SLIDERS)
     @settings(max_examples=20, deadline=None)
     def test_all_joints_are_as_far_on_their_ways_at_any_moment(self, goal, sliders):
-        path = play(MoveJ(goal, 1.0, 2.0, CB3), sliders=sliders)
+        path = play(movej(goal, 1.0, 2.0, CB3), sliders=sliders)
         way = goal - START
         leader = np.abs(way).argmax()
         share = (path[:, 0, leader] - START[leader]) / way[leader]
@@ -131,45 +129,45 @@ class TestMoveJ:
     def test_it_takes_as_long_as_the_trapezoid_of_its_leading_axis(self, way, v, a):
         goal = START + np.array([0.1, -0.2, way, 0.0, 0.3 * way, -way])
         expected = way / v + v / a if way > v * v / a else 2 * np.sqrt(way / a)
-        assert (len(play(MoveJ(goal, v, a, CB3))) - 1) * CB3 == pytest.approx(expected, abs=CB3)
+        assert (len(play(movej(goal, v, a, CB3))) - 1) * CB3 == pytest.approx(expected, abs=CB3)
 
     def test_the_slider_stretches_its_time(self):
         goal = START + 0.8
-        full = len(play(MoveJ(goal, 1.0, 1.4, CB3)))
-        slow = play(MoveJ(goal, 1.0, 1.4, CB3), sliders=[(10**6, 0.1)])
+        full = len(play(movej(goal, 1.0, 1.4, CB3)))
+        slow = play(movej(goal, 1.0, 1.4, CB3), sliders=[(10**6, 0.1)])
         assert len(slow) == pytest.approx(10 * full, rel=0.01)
         assert np.abs(slow[:, 1]).max() == pytest.approx(0.1, rel=1e-6)
 
     def test_a_closed_slider_holds_it_and_an_open_one_lets_it_go_on(self):
         goal = START + 0.8
-        path = play(MoveJ(goal, 1.0, 1.4, CB3), sliders=[(90, 1.0), (400, 0.0)])
+        path = play(movej(goal, 1.0, 1.4, CB3), sliders=[(90, 1.0), (400, 0.0)])
         held = path[350:480]
         assert not held[:, 1].any()
         assert (held[:, 0] == held[0, 0]).all()
         assert path[-1, 0] == pytest.approx(goal, abs=1e-12)
 
     def test_a_time_takes_precedence_over_speed_and_acceleration(self):
-        path = play(MoveJ(START + 0.3, 3.0, 15.0, CB3, time_s=2.0))
+        path = play(movej(START + 0.3, 3.0, 15.0, CB3, time_s=2.0))
         assert (len(path) - 1) * CB3 == pytest.approx(2.0, abs=CB3)
 
     def test_no_joint_gets_faster_than_the_arm_can(self):
         arm = load_arm("ur10")
-        path = play(MoveJ(START + np.array([0.0, 1.0, 0, 0, 0, 2.0]), 3.1, 40.0, CB3, arm=arm))
+        path = play(movej(START + np.array([0.0, 1.0, 0, 0, 0, 2.0]), 3.1, 40.0, CB3, arm=arm))
         assert (np.abs(path[:, 1]).max(axis=0) <= arm.qd_max * ROUNDING).all()
         assert (np.abs(path[:, 2]).max(axis=0) <= arm.qdd_max * ROUNDING).all()
 
     def test_an_arm_that_moves_brakes_before_it_sets_off(self):
         qd = np.array([0.5, -1.0, 0, 0, 0, 0])
-        path = play(MoveJ(START + 1, 1.0, 2.0, CB3), qd=qd)
+        path = play(movej(START + 1, 1.0, 2.0, CB3), qd=qd)
         rest = int(np.flatnonzero(~path[:, 1].any(axis=1))[0])
         assert rest * CB3 == pytest.approx(1.0 / 8.0, abs=CB3)
         assert path[-1, 0] == pytest.approx(START + 1, abs=1e-12)
 
     def test_being_there_already_it_is_over(self):
-        assert len(play(MoveJ(START, 1.0, 1.0, CB3))) == 1
+        assert len(play(movej(START, 1.0, 1.0, CB3))) == 1
 
     def test_a_target_beyond_the_joint_limits_is_refused_before_it_moves(self):
-        motion = MoveJ(START + np.array([0, 0, 0, 0, 0, 9.0]), 1.0, 1.0, CB3, arm=ARM)
+        motion = movej(START + np.array([0, 0, 0, 0, 0, 9.0]), 1.0, 1.0, CB3, arm=ARM)
         with pytest.raises(MotionImpossible, match="joint 6") as caught:
             motion.advance(standing(START), 1.0)
         assert caught.value.code == JOINT_LIMITS
@@ -177,12 +175,12 @@ class TestMoveJ:
     @pytest.mark.parametrize(("v", "a"), [(0.0, 1.0), (1.0, 0.0), (-1.0, 1.0), (np.nan, 1.0)])
     def test_without_speed_or_acceleration_it_leads_nowhere(self, v, a):
         with pytest.raises(MotionImpossible) as caught:
-            MoveJ(START + 1, v, a, CB3).advance(standing(START), 1.0)
+            movej(START + 1, v, a, CB3).advance(standing(START), 1.0)
         assert caught.value.code == 0
 
     def test_to_a_pose_it_goes_to_the_nearest_posture(self):
         goal = START + np.array([0.3, 0.2, -0.3, 0.1, 0.2, -0.4])
-        path = play(MoveJPose(ARM, TCP, pose_of(ARM, goal, TCP), 1.0, 1.0, CB3))
+        path = play(movej_to_pose(ARM, TCP, pose_of(ARM, goal, TCP), 1.0, 1.0, CB3))
         assert path[-1, 0] == pytest.approx(goal, abs=1e-9)
 
 
@@ -194,7 +192,7 @@ class TestMoveL:
     ):
         begin = pose_of(ARM, START, TCP)
         goal = moved(begin, step)
-        path = play(MoveL(ARM, TCP, goal, v, a, tick), tick=tick, sliders=sliders)
+        path = play(movel(ARM, TCP, goal, v, a, tick), tick=tick, sliders=sliders)
         poses, twists = tool_of(path)
         along = poses[:, :3] - begin[:3]
         length = np.linalg.norm(step[:3])
@@ -212,7 +210,7 @@ class TestMoveL:
     def test_it_turns_about_one_axis_in_step_with_its_way(self):
         begin = pose_of(ARM, START, TCP)
         step = np.array([0.1, -0.1, 0.05, 0.3, -0.2, 0.4])
-        path = play(MoveL(ARM, TCP, moved(begin, step), 0.25, 1.2, CB3))
+        path = play(movel(ARM, TCP, moved(begin, step), 0.25, 1.2, CB3))
         poses, _ = tool_of(path)
         share = (poses[:, :3] - begin[:3]) @ step[:3] / (step[:3] @ step[:3])
         for pose, part in zip(poses[::10], share[::10], strict=True):
@@ -220,18 +218,18 @@ class TestMoveL:
 
     def test_joint_speeds_are_those_of_the_joint_positions(self):
         step = np.array([0.1, -0.1, 0.05, 0.3, -0.2, 0.4])
-        path = play(MoveL(ARM, TCP, moved(pose_of(ARM, START, TCP), step), 0.25, 1.2, E_SERIES))
+        path = play(movel(ARM, TCP, moved(pose_of(ARM, START, TCP), step), 0.25, 1.2, E_SERIES))
         speeds, _ = steps_of(path, E_SERIES)
         assert speeds == pytest.approx((path[1:, 1] + path[:-1, 1]) / 2, abs=1e-3)
 
     def test_a_target_out_of_reach_is_a_runtime_error_before_it_moves(self):
         with pytest.raises(MotionImpossible, match="unable to find a solution") as caught:
-            MoveL(ARM, TCP, [1.5, 0, 0, 0, 0, 0], 0.25, 1.2, CB3).advance(standing(START), 1.0)
+            movel(ARM, TCP, [1.5, 0, 0, 0, 0, 0], 0.25, 1.2, CB3).advance(standing(START), 1.0)
         assert caught.value.code == 0
 
     def test_a_way_past_the_pan_axis_is_a_singularity_found_on_the_way(self):
         begin = pose_of(ARM, START, TCP)
-        path, error = until_impossible(MoveL(ARM, TCP, [*-begin[:2], *begin[2:]], 0.25, 1.2, CB3))
+        path, error = until_impossible(movel(ARM, TCP, [*-begin[:2], *begin[2:]], 0.25, 1.2, CB3))
         assert error.code == SINGULARITY
         assert "singularity" in error.text
         speeds, _ = steps_of(path, CB3)

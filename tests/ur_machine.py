@@ -5,6 +5,7 @@ import numpy as np
 from hil_mock_robot.plant.truth import draw_truth
 from hil_mock_robot.ur.body import Body
 from hil_mock_robot.ur.machine import Machine
+from hil_mock_robot.ur.motion import Leg, MovePath
 from hil_mock_robot.ur.rtde_variables import series_of
 
 UPRIGHT = np.radians([0.0, -90.0, 0.0, -90.0, 0.0, 0.0])
@@ -16,6 +17,26 @@ def machine_of(arm="ur5", powered=True):
     series = series_of(arm)
     body = Body(draw_truth(arm, 1, "ideal"), series.rate_hz, UPRIGHT)
     return Machine(series, body, serial=SERIAL, powered=powered)
+
+
+def movej(q, v, a, tick_s, *, time_s=0.0, arm=None):
+    """The motion of URScript's `movej` to a joint position (6,) [rad]."""
+    leg = Leg("j", np.array(q, dtype=np.float64), v, a, time_s=time_s)
+    return MovePath(arm, None, [leg], tick_s)
+
+
+def movej_to_pose(arm, tcp, pose, v, a, tick_s):
+    """The motion of URScript's `movej` to a pose (6,) of the tool."""
+    return MovePath(
+        arm, tcp, [Leg("j", np.array(pose, dtype=np.float64), v, a, is_pose=True)], tick_s
+    )
+
+
+def movel(arm, tcp, pose, v, a, tick_s):
+    """The motion of URScript's `movel` to a pose (6,) of the tool."""
+    return MovePath(
+        arm, tcp, [Leg("l", np.array(pose, dtype=np.float64), v, a, is_pose=True)], tick_s
+    )
 
 
 def pass_time(machine, seconds, sessions=()):

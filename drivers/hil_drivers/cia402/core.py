@@ -44,6 +44,12 @@ from hil_drivers.cia402.timing import TOLD_AFTER_S, Schedule, Stalls, realtime
 POLL_S = 0.002
 FIRST_ANSWER_S = 2.0
 
+ENABLED_WITHIN_S, CHANGED_WITHIN_S = 10.0, 5.0
+"""How long enabling may take; other changes of state or mode [s]."""
+
+SETTLE_S, MEAN_S = 0.2, 0.1
+"""Device time before torques are measured, and over which their mean is taken [s]."""
+
 END_S = 3.0
 """Device time for all axes to brake and be off: longer than it takes until those that do not are
 taken the voltage from (`braking`) [s]."""
@@ -172,7 +178,7 @@ class Core:
         self._cyclic.watch(False)
         self._cycling = False
 
-    def enable(self, mode: int, within_s: float = 10.0) -> None:
+    def enable(self, mode: int) -> None:
         """Enable all axes in a mode, all targets preloaded; blocks.
 
         Raises:
@@ -185,31 +191,31 @@ class Core:
             raise CommandRefused(f"the axes cannot be enabled: they are {self.phase.value}")
         self._problem = ""
         self._do(lambda: self._supervisor.enable(mode))
-        self._wait_for(Phase.ENABLED, within_s, "the axes are not enabled")
+        self._wait_for(Phase.ENABLED, ENABLED_WITHIN_S, "the axes are not enabled")
 
-    def switch(self, mode: int, within_s: float = 5.0) -> None:
+    def switch(self, mode: int) -> None:
         """Switch the mode of the enabled axes at rest; blocks, raises as `enable`."""
         self._require_bus()
         if self.phase is not Phase.ENABLED:
             raise CommandRefused(f"the mode cannot be switched: the axes are {self.phase.value}")
         self._require_rest()
         self._do(lambda: self._supervisor.switch(mode))
-        self._wait_for(Phase.ENABLED, within_s, "the mode is not switched")
+        self._wait_for(Phase.ENABLED, CHANGED_WITHIN_S, "the mode is not switched")
 
-    def reset_faults(self, within_s: float = 5.0) -> None:
+    def reset_faults(self) -> None:
         """Reset faults, on request only; blocks, raises as `enable`."""
         self._require_bus()
         if self.phase is not Phase.OFF:
             raise CommandRefused(f"faults cannot be reset: the axes are {self.phase.value}")
         self._problem = ""
         self._do(self._supervisor.reset)
-        self._wait_for(Phase.OFF, within_s, "the faults are not reset")
+        self._wait_for(Phase.OFF, CHANGED_WITHIN_S, "the faults are not reset")
 
-    def disable(self, within_s: float = 5.0) -> None:
+    def disable(self) -> None:
         """Switch all axes off, at rest; blocks, raises as `enable`."""
         if self._is_cycling and self.phase is not Phase.OFF:
             self._do(self._supervisor.disable)
-            self._wait_for(Phase.OFF, within_s, "the axes are not off")
+            self._wait_for(Phase.OFF, CHANGED_WITHIN_S, "the axes are not off")
 
     def prepare(self, track: Track) -> None:
         """Keep the next motion. Raises `CommandRefused`."""
@@ -230,18 +236,14 @@ class Core:
         """Controlword quick stop to all axes with the next cycle; never raises or blocks."""
         self._asked.append(lambda: self._supervisor.quick_stop(why))
 
-    def mean_torque(self, settle_s: float = 0.2, over_s: float = 0.1) -> list[float]:
-        """Measured torques, raw, per axis, of an arm that holds; blocks.
-
-        Args:
-            settle_s: Device time to wait before [s].
-            over_s: Device time of the mean [s].
+    def mean_torque(self) -> list[float]:
+        """Return measured torques, raw, per axis, of an arm that holds; blocks.
 
         Raises:
             RobotConnectionError: The bus is gone.
         """
-        begin = self._cyclic.cycle + round(settle_s / self._period_s)
-        end, seen = begin + max(1, round(over_s / self._period_s)), dict[int, list[int]]()
+        begin = self._cyclic.cycle + round(SETTLE_S / self._period_s)
+        end, seen = begin + max(1, round(MEAN_S / self._period_s)), dict[int, list[int]]()
 
         def goes_on() -> bool:
             now = self._cyclic.cycle

@@ -102,18 +102,17 @@ FLUSH_S = 0.01
 """How long the controller is given to take a program before the line is closed [s]."""
 
 
-def stop_directly(address: str, deceleration: float, within_s: float = STOP_S) -> bool:
+def stop_directly(address: str, deceleration: float) -> bool:
     """Tell the controller to come to rest; from any thread, without a lock.
 
     Args:
         address: Of the controller.
         deceleration: Of the leading joint [rad/s²].
-        within_s: Wall time this may take.
 
     Returns:
         Whether at least one of the two ways could be told.
     """
-    until = time.monotonic() + within_s
+    until = time.monotonic() + STOP_S
     program = f"def hil_stop():\n  stopj({deceleration:.3f})\nend\n".encode()
     told = _tell(address, SCRIPT_PORT, program, until)
     # What the dashboard does would cut the ramp short that was just asked for: only where it could

@@ -348,21 +348,20 @@ PLAYS_WITHIN_S = 5.0
 LAST_ROW_S = 0.2
 
 
-def _wait_until_playing(receiver: Any, within_s: float = PLAYS_WITHIN_S) -> None:
+def _wait_until_playing(receiver: Any) -> None:
     """Let go of rows from before the program was uploaded.
 
     `ur-rtde` holds the interpreter meanwhile, and comes back when its own connection says that the
     program plays: what came over ours may still wait to be heard.
 
     Args:
-        receiver: Gives the controller's rows.
-        within_s: Wall time this may take.
+        receiver: Of the controller's rows.
 
     Raises:
         RobotTimeout: No row came.
         RobotFault: The program does not play.
     """
-    until = time.monotonic() + within_s
+    until = time.monotonic() + PLAYS_WITHIN_S
     while int(receiver.take(1.0)[-1]["runtime_state"]) != PLAYING:
         if time.monotonic() > until:
             raise RobotFault(

@@ -30,23 +30,19 @@ ROBOT_STATE, CONFIGURATION = 16, 6
 N = 6
 
 
-def reported_limits(
-    address: str, within_s: float = PRIMARY_S, port: int = PRIMARY_PORT
-) -> ReportedLimits:
+def reported_limits(address: str) -> ReportedLimits:
     """Ask a controller for its joint limits; commands nothing.
 
     Args:
         address: Of the controller.
-        within_s: Wall time this may take.
-        port: Of the primary interface.
 
     Raises:
-        RobotConnectionError: It does not say, not in time, or nothing that could be.
+        RobotConnectionError: It sends none in time, or limits that are not possible.
     """
-    until = time.monotonic() + within_s
-    peer = f"{address}:{port}"
+    until = time.monotonic() + PRIMARY_S
+    peer = f"{address}:{PRIMARY_PORT}"
     try:
-        with socket.create_connection((address, port), within_s) as line:
+        with socket.create_connection((address, PRIMARY_PORT), PRIMARY_S) as line:
             return _first_limits(line, until, peer)
     except OSError as error:
         raise _problem(peer, f"cannot be asked: {error.strerror or error}") from error

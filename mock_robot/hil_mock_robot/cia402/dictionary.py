@@ -117,20 +117,17 @@ class Group:
     array: bool = False
 
 
-def group(
-    index: int, name: str, members: Iterable[Object], *, array: bool = False, count: str = "const"
-) -> Group:
-    """A group of members that carry their sub-indices; sub-index 0 is put before them.
+def group(index: int, name: str, members: Iterable[Object], *, array: bool = False) -> Group:
+    """Return a group of members that have their sub-indices; sub-index 0 is put before them.
 
     Args:
-        index: Of the group and, whatever they say, of its members.
+        index: Of the group and of its members, in place of their own.
         name: Of the group.
         members: In the order of their sub-indices.
         array: All members are of one kind.
-        count: Access of sub-index 0.
     """
     placed = tuple(replace(member, index=index) for member in members)
-    first = Object(index, 0, "Highest sub-index supported", "u8", count, placed[-1].sub)
+    first = Object(index, 0, "Highest sub-index supported", "u8", "const", placed[-1].sub)
     return Group(index, name, (first, *placed), array)
 
 

@@ -98,7 +98,7 @@ FAULT_RESET_BIT, HALT_BIT = 0x0080, 0x0100
 NEW_SETPOINT_BIT, AT_ONCE_BIT, RELATIVE_BIT = 0x0010, 0x0020, 0x0040
 """Bits of the controlword beside the commands; the last three belong to profile position."""
 
-VOLTAGE_ENABLED, QUICK_STOP_OFF, WARNING, REMOTE = 0x0010, 0x0020, 0x0080, 0x0200
+VOLTAGE_ENABLED, WARNING, REMOTE = 0x0010, 0x0080, 0x0200
 
 TARGET_REACHED, INTERNAL_LIMIT, MODE_BIT_12, MODE_BIT_13 = 0x0400, 0x0800, 0x1000, 0x2000
 """Bits of the statusword; what 12 and 13 say depends on the mode."""

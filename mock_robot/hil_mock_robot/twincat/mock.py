@@ -48,7 +48,13 @@ from hil_mock_robot.twincat.program import PlcProgram
 
 RATE_HZ = 1000.0
 CYCLE_S = 1.0 / RATE_HZ
-WATCHDOG_S, STOP_RAD_S2 = 0.3, 8.0
+AMS_PORT = 851
+"""Of the runtime of a PLC's first program."""
+
+WATCHDOG_S = 0.3
+"""Silence of the client after which the arm is stopped, by the wall clock [s]."""
+
+STOP_RAD_S2 = 8.0
 TEMPERATURES, EFFORT_TARGETS = 1, 2
 """Bits of `nOffers`."""
 
@@ -102,11 +108,9 @@ def parser_of(prog: str = "", seed: int = 1) -> Parser:
     add = parser.add_argument
     where = "loopback address; the port is 48898, so a second mock takes another one"
     add("--address", default="127.0.0.1", help=where)
-    add("--ams-port", type=int, default=851, help="of the PLC's runtime")
     add("--speed", default="1", help="device seconds per second, 0.01 to 1000")
     add("--effort", default="torque", choices=("torque", "current"), help="what drives tell")
     add("--serial", default="", help="of the PLC (default: made of model and seed)")
-    add("--watchdog-s", type=float, default=WATCHDOG_S, help="silence that stops the arm, wall")
     add("--contract", type=int, help="version that it says to have (default: the true one)")
     add("--without", action="append", default=[], metavar="NAME", help="a variable it lacks")
     parser.add_arm("lab6", None, seed)
@@ -129,7 +133,7 @@ def _run(given: argparse.Namespace) -> int:
     address, factor = loopback_of(given.address), factor_of(given.speed)
     if factor is None:
         raise SpecError(f"--speed {given.speed} is for the UR mock", hint="give a number")
-    where = f"{address}, AMS {address}.1.1:{given.ams_port}"
+    where = f"{address}, AMS {address}.1.1:{AMS_PORT}"
     loop = loop_of(given, address, factor)
     return serve(loop, f"{given.model} behind a PLC on {where}, ×{factor:g}")
 
@@ -146,7 +150,7 @@ def loop_of(given: argparse.Namespace, address: str, factor: float) -> Loop:
     memory, arm = Memory(given.without), arm_of(given)
     fill_info(memory, arm, given)
     program = PlcProgram(memory, arm)
-    handler = PlcHandler(memory, given.ams_port)
+    handler = PlcHandler(memory, AMS_PORT)
     links = Links(address, handler)
     planned = PlcFault.read(given.faults) if given.faults else ()
     faults = Faults(Target(program, handler, links), PlcFault, CYCLE_S, planned)
@@ -170,7 +174,7 @@ def arm_of(given: argparse.Namespace) -> PlcArm:
 def fill_info(memory: Memory, arm: PlcArm, given: argparse.Namespace) -> None:
     """What the PLC says about itself."""
     info, maker = memory.view("stInfo")[0], arm.published
-    info["fCycleS"], info["fWatchdogS"] = CYCLE_S, given.watchdog_s
+    info["fCycleS"], info["fWatchdogS"] = CYCLE_S, WATCHDOG_S
     info["fStopRadS2"], info["fPayloadMax"] = STOP_RAD_S2, maker.payload_max_kg
     info["aQMin"], info["aQMax"] = maker.q_min, maker.q_max
     info["aQdMax"], info["aQddMax"] = maker.qd_max, maker.qdd_max

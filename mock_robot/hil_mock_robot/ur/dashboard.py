@@ -156,7 +156,6 @@ class Pendant:
         machine: The controller.
         programs: File → what makes that program; other files are an `IdleProgram`.
         loaded: File of the loaded program, `""` for none.
-        popup: What is shown, `""` for nothing.
         role: Of the user (CB3).
         operational: Mode that the dashboard has set last, `NONE` before.
         reports: Number of the last report.
@@ -166,7 +165,6 @@ class Pendant:
     machine: Machine
     programs: Mapping[str, Callable[[], Program]] = field(default_factory=dict)
     loaded: str = ""
-    popup: str = ""
     role: str = "PROGRAMMER"
     operational: str = "NONE"
     reports: int = 0
@@ -207,12 +205,11 @@ class Pendant:
 
     def forget(self) -> None:
         """The controller has booted: nothing is loaded or shown."""
-        self.loaded = self.popup = ""
+        self.loaded = ""
         self.operational = "NONE"
 
     def show(self, text: str) -> None:
         """Show a popup."""
-        self.popup = text
         self.machine.tell("popup", "Popup", text)
 
 
@@ -288,11 +285,6 @@ def _unlock(pendant: Pendant, _: str) -> str:
 def _restart_safety(pendant: Pendant, _: str) -> str:
     pendant.machine.modes.restart_safety()
     return "Restarting safety"
-
-
-def _close_popup(pendant: Pendant, _: str) -> str:
-    pendant.popup = ""
-    return "closing popup"
 
 
 def _popup(pendant: Pendant, text: str) -> str:
@@ -399,7 +391,7 @@ COMMANDS = (
     Command("unlock protective stop", _unlock, remote=True),
     Command("restart safety", _restart_safety, (3, 7), (5, 1), remote=True),
     Command("close safety popup", lambda _p, _: "closing safety popup", remote=True),
-    Command("close popup", _close_popup),
+    Command("close popup", lambda _p, _: "closing popup"),
     Command("popup", _popup),
     Command("addToLog", _add_to_log),
     Command("saveLog", save_log),

@@ -1,15 +1,15 @@
 """Motions, which move the set-point from tick to tick.
 
-`MoveJ`, `MoveL` and `MovePath` follow a planned route, `ServoJ`, `SpeedJ` and `SpeedL` follow the
-set-points that a client streams, `StopJoints` and `StopL` come to rest; all are a `Motion`.
-`ToolFollower` finds joint positions for a tool that moves on a line.
+`MovePath` follows a planned route, `ServoJ`, `SpeedJ` and `SpeedL` follow the set-points that a
+client streams, `StopJoints` and `StopL` come to rest; all are a `Motion`. `ToolFollower` finds
+joint positions for a tool that moves on a line.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from math import cos, exp, sin, sqrt
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
 from scipy.linalg.lapack import dgesv
@@ -179,73 +179,6 @@ class MovePath:
         setpoint = self._moving(piece, 0.0, 0.0, now) if self._follower else None
         q = piece.at(piece.duration)[0] if setpoint is None else setpoint[0]
         return np.array((q, np.zeros(6), np.zeros(6)))
-
-
-class MoveJ(MovePath):
-    """URScript `movej` to a joint position: all joints start and arrive together.
-
-    Args:
-        q: (6,) [rad].
-        v, a: Of the leading axis, the one that has furthest to go [rad/s, rad/s²].
-        tick_s: Device time of a tick.
-        time_s: How long it takes, in place of `v` and `a`, unless 0 [s].
-        arm: Whose limits hold; None for none.
-    """
-
-    def __init__(
-        self,
-        q: Numbers,
-        v: float,
-        a: float,
-        tick_s: float,
-        *,
-        time_s: float = 0.0,
-        arm: ArmDescription | None = None,
-    ) -> None:
-        leg = Leg("j", np.array(q, dtype=np.float64), v, a, time_s=time_s)
-        super().__init__(arm, None, [leg], tick_s)
-
-
-class _MoveToPose(MovePath):
-    """A single move to a pose.
-
-    Args:
-        arm: A UR arm.
-        tcp: (6,) tool in the flange frame.
-        pose: (6,) where to.
-        v, a: Of the leading axis [rad/s, rad/s²], or of the tool [m/s, m/s²].
-        tick_s: Device time of a tick.
-        time_s: How long it takes, in place of `v` and `a`, unless 0 [s].
-    """
-
-    kind: Literal["j", "l"] = "j"
-
-    def __init__(
-        self,
-        arm: ArmDescription,
-        tcp: Numbers,
-        pose: Numbers,
-        v: float,
-        a: float,
-        tick_s: float,
-        *,
-        time_s: float = 0.0,
-    ) -> None:
-        leg = Leg(self.kind, np.array(pose, dtype=np.float64), v, a, time_s=time_s, is_pose=True)
-        super().__init__(arm, tcp, [leg], tick_s)
-
-
-class MoveJPose(_MoveToPose):
-    """URScript `movej` to a pose: to the joint position nearest to the present one."""
-
-
-class MoveL(_MoveToPose):
-    """URScript `movel`: the tool moves on a straight line and turns about one axis.
-
-    It turns with at most four times as many rad/s, rad/s² as `v` and `a` are.
-    """
-
-    kind: Literal["j", "l"] = "l"
 
 
 FASTEST_RAD_S = np.pi
