@@ -131,7 +131,7 @@ def payload_finding(
     Args:
         declared: None where no load was declared since the robot was connected.
         read_back: The load that the controller reports.
-        hint: What to do if they differ.
+        hint: Remedy if they differ.
         remark: Added to the message.
     """
     message = f"payload {read_back} read back"

@@ -1,4 +1,4 @@
-"""What single options of a driver may be; errors say what would be right."""
+"""Checks of single options of a driver; errors have a hint with right values."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ class OptionChecks:
         self._driver = driver
 
     def wrong_option(self, name: str, value: object, hint: str) -> SpecError:
-        """The error that says what one option was and what would be right."""
+        """Return the error for a wrong option, with a hint."""
         return SpecError(f"{self._driver} option {name} is {value!r}", hint=hint)
 
     def lacking(self, name: str, hint: str) -> SpecError:
-        """The error for an option that has to be given."""
+        """Return the error for a missing option."""
         return SpecError(f"the driver {self._driver} lacks its option {name}", hint=hint)
 
     def require_known(self, given: Iterable[str], known: Sequence[str], where: str = "") -> None:
-        """Refuse keys that there are not.
+        """Raise if there are unknown keys.
 
         Args:
             given: Keys as typed.
-            known: All there are.
+            known: All keys that the driver has.
             where: Option that they belong to, such as `bus`; empty at the top.
         """
         unknown = sorted(str(name) for name in given if name not in known)
@@ -51,7 +51,7 @@ class OptionChecks:
         )
 
     def number(self, name: str, value: Any, between: Range, *, whole: bool = False) -> float:
-        """A number in a range; ends are in it."""
+        """Return a number, if it is in a range; the ends belong to it."""
         least, most = between
         right = isinstance(value, int if whole else int | float) and not isinstance(value, bool)
         if not right or not math.isfinite(value) or not least <= value <= most:
@@ -60,7 +60,7 @@ class OptionChecks:
         return value if whole else float(value)
 
     def choice(self, name: str, value: Any, among: Collection[Any]) -> Any:
-        """One of a few."""
+        """Return one of a few values."""
         if isinstance(value, bool) or value not in among:
             like = closest(value, among) if isinstance(value, str) else None
             guess = f"did you mean {like!r}? " if like else ""
@@ -70,26 +70,26 @@ class OptionChecks:
         return value
 
     def truth(self, name: str, value: Any) -> bool:
-        """Yes or no."""
+        """Return a boolean."""
         if not isinstance(value, bool):
             raise self.wrong_option(name, value, "use true or false")
         return value
 
     def text(self, name: str, value: Any) -> str:
-        """Some text, not empty."""
+        """Return a text, if it is not empty."""
         if not isinstance(value, str) or not value.strip():
             raise self.wrong_option(name, value, "give some text")
         return value.strip()
 
     def file(self, name: str, value: Any) -> str:
-        """The whole path of a file that is there."""
+        """Return the absolute path of a file, if it exists."""
         path = Path(self.text(name, value)).expanduser()
         if not path.is_file():
             raise self.wrong_option(name, value, f"there is no such file in {Path.cwd()}")
         return str(path.resolve())
 
     def per_axis(self, name: str, value: Any, n: int) -> Sequence[Any]:
-        """A value for every axis: the one that was given for all, or a list of n."""
+        """Return a value per axis: one for all, or a list of n."""
         if not isinstance(value, list | tuple):
             return [value] * n
         if len(value) != n:
@@ -97,7 +97,7 @@ class OptionChecks:
         return value
 
     def mapping_of(self, name: str, value: Any) -> Mapping[str, Any]:
-        """Keys and values."""
+        """Return a mapping."""
         if not isinstance(value, Mapping):
             raise self.wrong_option(name, value, "give keys and values, as in {key: value}")
         return value

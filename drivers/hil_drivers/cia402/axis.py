@@ -39,7 +39,7 @@ from hil_drivers.cia402.profile import wrapped
 
 
 class State(Enum):
-    """Where a drive is; the value is how messages say it."""
+    """State of a drive; the value is its name in messages."""
 
     NOT_READY = "not ready to switch on"
     DISABLED = "switch on disabled"
@@ -89,7 +89,7 @@ _BY_6F = {
 
 
 def state_of(statusword: int) -> State:
-    """The state that a statusword tells (CiA 402, masks 4Fh and 6Fh)."""
+    """Return the state in a statusword (CiA 402, masks 4Fh and 6Fh)."""
     return _BY_4F.get(statusword & 0x4F) or _BY_6F.get(statusword & 0x6F, State.UNKNOWN)
 
 
@@ -112,7 +112,7 @@ def controlword_towards(state: State, goal: Goal) -> int:
     Never resets a fault: in `FAULT` it is disable voltage, whatever the goal.
 
     Args:
-        state: As the drive has just told it.
+        state: By its newest statusword.
         goal: `OFF` is meant for an axis at rest: it goes down one step at a time, and takes the
             voltage from an axis that is in quick stop.
     """
@@ -123,10 +123,10 @@ def controlword_towards(state: State, goal: Goal) -> int:
 
 
 def controlword_resetting(state: State, last: int) -> int:
-    """The controlword of a fault reset, given on request only: one rising edge of bit 7.
+    """Return the controlword of a fault reset, for requests only: one rising edge of bit 7.
 
     Args:
-        state: As the drive has just told it; out of `FAULT` the bit is taken back.
+        state: By its newest statusword; outside of `FAULT` the bit is cleared.
         last: The controlword sent before this one; disable voltage to begin with.
     """
     if state is State.FAULT and last in (DISABLE_VOLTAGE, FAULT_RESET):
@@ -143,10 +143,10 @@ _SAID = {
 
 def statusword_text(statusword: int) -> str:
     """A statusword in words, for messages."""
-    said = [text for bit, text in _SAID.items() if statusword & bit]
+    texts = [text for bit, text in _SAID.items() if statusword & bit]
     if not statusword & REMOTE:
-        said.append("does not listen to the bus (bit 9)")
-    return f"{', '.join([state_of(statusword).value, *said])} (statusword {statusword:04X}h)"
+        texts.append("does not listen to the bus (bit 9)")
+    return f"{', '.join([state_of(statusword).value, *texts])} (statusword {statusword:04X}h)"
 
 
 def mode_text(mode: int) -> str:
@@ -166,7 +166,7 @@ many times the other, or of other sign: a wrong unit is off by 17 and more."""
 
 
 class Tracking:
-    """What one cycle's answers say against what was told.
+    """Compares the answers of each cycle with the set-points.
 
     Args:
         period_s: Device time of a cycle [s].
@@ -196,14 +196,14 @@ class Tracking:
         self.restart()
 
     def restart(self) -> None:
-        """A phase begins: nothing of what was before counts."""
+        """Forget earlier cycles: a phase begins."""
         n = len(self._scale)
         self._told.clear()
         self._away, self._contradicts = [0] * n, [0] * n
         self._begin_window(None)
 
     def judge(self, inputs: Inputs, targets: Sequence[int], mode: int) -> Iterator[tuple[int, str]]:
-        """Axes that do not go where they are told, and why that is said.
+        """Yield axes that do not follow their set-points, each with the reason.
 
         Args:
             inputs: Of this cycle.
@@ -233,7 +233,7 @@ class Tracking:
                 )
 
     def _contradicting(self, inputs: Inputs) -> Iterator[tuple[int, str]]:
-        """One answer per window: the mean velocity told against the way that was gone."""
+        """Compare, once per window, the mean reported velocity with the distance travelled."""
         if self._from is None or not all(inputs.fresh):
             self._begin_window(inputs.position.copy() if all(inputs.fresh) else None)
             return
@@ -243,13 +243,16 @@ class Tracking:
             return
         for axis, start in enumerate(self._from):
             way = wrapped(inputs.position[axis] - start) * self._scale[axis]
-            gone, told = way / self._over_s, self._sum[axis] / self._seen * self._unit[axis]
-            self._contradicts[axis] = self._contradicts[axis] + 1 if _absurd(told, gone) else 0
+            actual = way / self._over_s
+            reported = self._sum[axis] / self._seen * self._unit[axis]
+            self._contradicts[axis] = (
+                self._contradicts[axis] + 1 if _absurd(reported, actual) else 0
+            )
             if self._contradicts[axis] >= IN_A_ROW:
                 yield (
                     axis,
-                    f"says that it moves at {told:.3g} rad/s (606Ch), by its positions it is "
-                    f"{gone:.3g} rad/s: axes.velocity_unit is wrong, or polarity (607Eh)",
+                    f"says that it moves at {reported:.3g} rad/s (606Ch), by its positions it is "
+                    f"{actual:.3g} rad/s: axes.velocity_unit is wrong, or polarity (607Eh)",
                 )
         self._begin_window(inputs.position.copy())
 
@@ -257,11 +260,11 @@ class Tracking:
         self._from, self._seen, self._sum = position, 0, [0] * len(self._scale)
 
 
-def _absurd(told: float, gone: float) -> bool:
-    if abs(told - gone) <= LEAST_RAD_S:
+def _absurd(reported: float, actual: float) -> bool:
+    if abs(reported - actual) <= LEAST_RAD_S:
         return False
-    small, large = sorted((abs(told), abs(gone)))
-    return large > MOST_TIMES * small or told * gone < 0.0
+    small, large = sorted((abs(reported), abs(actual)))
+    return large > MOST_TIMES * small or reported * actual < 0.0
 
 
 LONGEST_RAMP_S = 0.5
@@ -300,11 +303,11 @@ class BrakeWatch:
         self._seen.clear()
 
     def complaint(self, axis: int, for_s: float) -> str:
-        """Why an axis that still carries current is to be let go; empty when it is not.
+        """Return why an axis with current is to be switched off; empty if it is not.
 
         Args:
             axis: From 0.
-            for_s: Time since the quick stop was told [s].
+            for_s: Time since the quick stop began [s].
         """
         after_s, ramp_s = for_s - self._ramp_s[axis], self._ramp_s[axis]
         speed = self._speed(axis)

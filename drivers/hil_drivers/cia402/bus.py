@@ -44,7 +44,7 @@ ByteArray: TypeAlias = NDArray[np.uint8]
 
 @dataclass(slots=True)
 class Outputs:
-    """What the drives are told in one cycle: raw integers, one per axis.
+    """Commands to the drives in one cycle: raw integers, one per axis.
 
     Attributes:
         controlword, mode, target_position, target_velocity, target_torque, torque_offset: See
@@ -69,7 +69,7 @@ class Outputs:
 
 @dataclass(slots=True)
 class Inputs:
-    """What the drives answered in one cycle: raw integers, one per axis.
+    """Answers of the drives in one cycle: raw integers, one per axis.
 
     Attributes:
         statusword, position, mode_display, velocity, torque, current: See
@@ -111,7 +111,7 @@ class Emergency:
     data: bytes
 
     def __str__(self) -> str:
-        """All that it says but whose it is."""
+        """Return its content without the axis."""
         if self.code == 0:
             return "errors are gone (0000h)"
         register = register_text(self.register)
@@ -126,7 +126,7 @@ class Emergency:
 
 @dataclass(slots=True)
 class News:
-    """What came beside process data since it was last asked for.
+    """Messages beside process data since the last call.
 
     Attributes:
         emergencies: In the order in which they came.
@@ -152,7 +152,7 @@ class Setting:
 
     Attributes:
         entry: Which.
-        value: What it is to be.
+        value: To be written.
         needed: Whether a drive without it is refused.
     """
 
@@ -219,11 +219,11 @@ class Acyclic(Protocol):
         """Start the exchange of process data in all drives; raises `RobotTimeout`."""
 
     def release(self) -> None:
-        """End the exchange of process data, without asking whether the drives obey."""
+        """End the exchange of process data, without waiting for a confirmation."""
 
 
 class Cyclic(Protocol):
-    """Process data of all drives, and what comes beside them; called by one thread."""
+    """Process data of all drives, and the messages beside them; called by one thread."""
 
     def exchange(self, outputs: Outputs, give_up_s: float) -> Inputs:
         """One cycle: the commands go out, the answers come.
@@ -237,13 +237,13 @@ class Cyclic(Protocol):
         """
 
     def idle(self, until_s: float) -> None:
-        """Between two exchanges: take what comes until that time of `time.monotonic`."""
+        """Handle frames between two exchanges, until that time of `time.monotonic`."""
 
     def pump(self, until_s: float) -> None:
         """While there are no exchanges: the same, and device time is the wall's."""
 
     def news(self) -> News | None:
-        """What has come since the last call; None when nothing has."""
+        """Return messages since the last call; None if there were none."""
 
     def watch(self, on: bool) -> None:
         """Whether drives that fall silent or start anew are news, from now on."""
@@ -266,7 +266,7 @@ class Cyclic(Protocol):
 
     @property
     def answered(self) -> ByteArray:
-        """(T, n, 8) answer data, likewise; where none came, what was there before."""
+        """(T, n, 8) answer data, likewise; data of an earlier cycle where none came."""
 
 
 class Bus(Protocol):
@@ -288,10 +288,10 @@ class Bus(Protocol):
         """Whether the cycles fit onto this bus, with the figures."""
 
     def losses(self) -> str:
-        """What has gone wrong with frames so far, in words; empty when nothing has."""
+        """Return losses of frames so far, in words; empty if there were none."""
 
     def flush(self) -> None:
-        """Write what a log of the bus has kept; by a thread that may wait for a disk."""
+        """Write the log of the bus; called by a thread that may wait for a disk."""
 
     def close(self) -> None:
         """Leave the bus; never raises."""
@@ -302,7 +302,7 @@ AT_ONCE_S = 0.02
 
 @contextmanager
 def pumping(cyclic: Cyclic) -> Iterator[None]:
-    """Take what comes, in a thread, while the block runs.
+    """Handle frames that come, in a thread, while the block runs.
 
     Raises:
         RobotConnectionError: The bus is gone; in place of whatever came of that in the block.

@@ -98,11 +98,11 @@ class CanBus:
         options = self._options
         n, bitrate = len(options.nodes), options.bus.bitrate
         load = load_of(MAPPINGS[options.mapping], n, options.rate_hz, bitrate)
-        said = f"{n} axes at {options.rate_hz:g} Hz, mapping {options.mapping}: {load}, "
+        message = f"{n} axes at {options.rate_hz:g} Hz, mapping {options.mapping}: {load}, "
         return Finding(
             "bus-load",
             load.fits,
-            f"{said}{load.total.worst:.0%} with all else, at {bitrate / 1000:g} kbit/s",
+            f"{message}{load.total.worst:.0%} with all else, at {bitrate / 1000:g} kbit/s",
             round(load.cyclic.worst, 4),
             MOST_CYCLIC,
             "lower rate_hz, or use a smaller mapping",
@@ -149,12 +149,12 @@ class CanBus:
         )
 
     def _heard(self, can_id: int, data: bytes, time_s: float) -> None:
-        """What is no process data; by the thread that owns the bus."""
+        """Handle a frame that is no process data; called by the thread that owns the bus."""
         self._temperatures.heard(can_id, data)
         self.acyclic.heard(can_id, data, time_s)
 
     def _send(self, can_id: int, data: bytes) -> None:
-        """For what is no process data; waits for room."""
+        """Send a frame that is no process data; wait for room."""
         frame, until = pack_frame(can_id, data), time.monotonic() + ROOM_S
         while not self._port.send(frame):
             if time.monotonic() > until:
@@ -184,7 +184,7 @@ TRIES = 2
 PRODUCER_MS = 100
 """1017h: the drives' heartbeats."""
 CONFIRM_S = 3.0
-"""A drive that is told a state says by heartbeat within that time that it is there [s]."""
+"""Time within which a drive confirms an NMT state by heartbeat [s]."""
 
 _HEAD = struct.Struct("<BHB")
 _READ, _WRITE = 0x40, 0x23
@@ -291,7 +291,7 @@ class CanopenAcyclic:
 
     @staticmethod
     def settings(options: Options, of_drive: Sequence[Setting]) -> list[Setting]:
-        """See `Acyclic`: SYNC before the drive's own, our heartbeat (1016h) last."""
+        """See `Acyclic`; SYNC comes first, the master's heartbeat (1016h) last."""
         return [
             Setting(od.SYNC_COB_ID, SYNC_COB_ID, needed=False),
             Setting(od.CYCLE_PERIOD, options.period_us, needed=False),
@@ -300,7 +300,7 @@ class CanopenAcyclic:
         ]
 
     def unwatch(self, axes: Sequence[int], within_s: float) -> None:
-        """See `Acyclic`: they watch our heartbeat (1016h) no more."""
+        """See `Acyclic`; ends the drives' watch of the master's heartbeat (1016h)."""
         self.download_each(od.CONSUMER_HEARTBEAT, 0, axes, within_s)
 
     def preoperational(self) -> None:
@@ -359,7 +359,7 @@ class CanopenAcyclic:
     def _asked_each(
         self, command: int, entry: Entry, data: bytes, axes: Iterable[int], within_s: float
     ) -> dict[int, bytes]:
-        """Answers by axis; what comes later is kept from who asks the same drive something else."""
+        """Return answers by axis; late ones are not mistaken for answers to the next request."""
         head, until = _HEAD.pack(command, entry.index, entry.sub), time.monotonic() + within_s
         answers: dict[int, list[bytes]] = {axis: [] for axis in axes}
         with contextlib.suppress(HilError):  # a bus that takes no frame takes none of the others
@@ -379,7 +379,7 @@ class CanopenAcyclic:
     def _confirm(self, state: int) -> None:
         until = time.monotonic() + CONFIRM_S
         with self._told:
-            while any(told != state for told in self._states):
+            while any(present != state for present in self._states):
                 left_s = until - time.monotonic()
                 if left_s <= 0.0:
                     raise self._not_there(state)
@@ -417,7 +417,7 @@ class _FedNetwork(canopen.Network):
         self._send(can_id, bytes(data))
 
     def send_periodic(self, *_: Any, **__: Any) -> Any:
-        """Never: what is sent in time with the cycles is sent by them."""
+        """Raise: frames in time with the cycles are sent by the cycles."""
         raise NotImplementedError("periodic frames belong to the cycles")
 
 
@@ -492,7 +492,7 @@ _SAME_AGAIN = "switch the drive off and on; if it says the same again, its mappi
 
 
 class _PdoOf:
-    """The objects of one PDO of one drive, changed in pre-operational as CiA 301 says.
+    """The objects of one PDO of one drive; changed in pre-operational, as CiA 301 has it.
 
     All methods raise `CommandRefused` when the drive does not take it or reads back something
     else, and `RobotTimeout` when it does not answer.
@@ -555,10 +555,10 @@ class _PdoOf:
     def _check(self, pdo: Pdo, wanted: list[int]) -> None:
         mapped = self._mapping()
         if mapped != wanted:
-            told = ", ".join(f"{each:08X}h" for each in mapped) or "nothing"
-            asked = ", ".join(str(entry) for entry in pdo.entries)
+            actual = ", ".join(f"{each:08X}h" for each in mapped) or "nothing"
+            expected = ", ".join(str(entry) for entry in pdo.entries)
             raise CommandRefused(
-                f"{self._called} carries {told} after it was given {asked}", hint=_SAME_AGAIN
+                f"{self._called} carries {actual} after it was given {expected}", hint=_SAME_AGAIN
             )
         for entry, value in ((self._type, EVERY_SYNC), (self._cob_id, self._valid)):
             now = self._read(entry)

@@ -157,7 +157,7 @@ def bus_of(value: Any) -> CanChannel:
 
 
 def _interface(value: Any) -> str:
-    """Known to python-can, its plug-ins among them; any text where that is not installed."""
+    """Return an interface of python-can or its plug-ins; any text if it is not installed."""
     try:
         from can.interfaces import VALID_INTERFACES
     except ImportError:  # joining the bus says what to install
@@ -166,7 +166,7 @@ def _interface(value: Any) -> str:
 
 
 def _channel(interface: str, value: Any) -> str:
-    """One way of writing it: two stations that mean one bus must say the same."""
+    """Return a channel in the one form in which stations are compared."""
     channel = _MUST.text("bus.channel", str(value) if isinstance(value, int) else value)
     if ".." in Path(channel).parts:
         raise _MUST.wrong_option("bus.channel", value, "name it, or give its path without ..")
@@ -332,7 +332,7 @@ class SocketPort:
         return bool(select.select(self._lines, (), (), wait_s if wait_s > 0.0 else 0.0)[0])
 
     def gone(self, why: str) -> RobotConnectionError:
-        """What to raise when the bus is not there any more."""
+        """Return the error for a bus that is gone."""
         return _gone(self._name, why)
 
 
@@ -408,7 +408,7 @@ Sending = Callable[[float], bool]
 
 
 def sending(port: FramePort, frames: Sequence[bytearray | memoryview]) -> Sending:
-    """What puts these frames on the bus as they then are; False when there was no room for all.
+    """Return a function that sends these frames as they then are; False if there was no room.
 
     It is told until when (`time.monotonic`) it may try again with what there was no room for.
 
@@ -444,7 +444,7 @@ def _burst(port: SocketPort, frames: Sequence[bytearray | memoryview]) -> Sendin
 
 
 def receiving(port: FramePort) -> Callable[[], Sequence[bytes]]:
-    """What gives frames that have come, at most `MOST`, without waiting."""
+    """Return a function that returns waiting frames, at most `MOST`, without waiting for more."""
     if isinstance(port, SocketPort):
         return _catch(port)
     receive = port.receive
@@ -500,7 +500,7 @@ class BusLog:
         self._waiting.append((time_s, raw))
 
     def flush(self) -> None:
-        """Write what is kept; from one thread."""
+        """Write waiting frames; called by one thread."""
         while self._waiting:
             time_s, raw = self._waiting.popleft()
             self._writer.write(unpack_frame(raw, time_s))
@@ -517,7 +517,7 @@ def _free(path: Path) -> Path:
 
 
 class LoggedPort:
-    """A port of which every frame is told, in the order in which this end sees them.
+    """A port whose frames are logged, in the order in which this end sees them.
 
     Args:
         port: The port.
@@ -595,7 +595,7 @@ class Load:
 def require_room(
     name: str, n: int, rate_hz: float, bitrate: float, allowed: Iterable[str] = ()
 ) -> None:
-    """Refuse what does not fit.
+    """Raise if the cycles do not fit onto the bus.
 
     Args:
         name: Of the mapping.
@@ -644,7 +644,7 @@ def load_of(mapping: Mapping, n: int, rate_hz: float, bitrate: float) -> Load:
 
 
 def most_rate_hz(mapping: Mapping, n: int, bitrate: float) -> float:
-    """The largest rate that fits and whose cycle lasts whole milliseconds [Hz]; 0 if none does."""
+    """Return the largest rate that fits and has whole milliseconds a cycle [Hz]; 0 if none does."""
     beside = load_of(mapping, n, 0.0, bitrate).beside.worst
     room = min(MOST_CYCLIC, MOST_LOAD - beside) * bitrate
     if room <= 0.0:

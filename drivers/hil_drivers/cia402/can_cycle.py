@@ -88,7 +88,7 @@ class CanCyclic:
             node may answer twice.
 
     Attributes:
-        counts: What has gone wrong so far.
+        counts: Of errors so far.
         sync_time: Unix time of the last SYNC.
         sent: (R, n, 8) RPDO bytes sent with it, as they lie in memory until the next exchange.
         answered: (T, n, 8) TPDO bytes, likewise.
@@ -266,7 +266,7 @@ class Answers:
         return len(self.slots)
 
     def axis(self, slot: int) -> int:
-        """Whose slot it is."""
+        """Return the axis of a slot."""
         return slot % self._n
 
     def unpack(self, inputs: Inputs) -> None:
@@ -334,7 +334,7 @@ class Collector:
         """Fill `inputs` with the answers to a SYNC.
 
         Args:
-            inputs: What is not fresh keeps its values.
+            inputs: To be filled in; values without a fresh answer stay.
             synced_s: When it was sent (`time.monotonic`).
             give_up_s: When to be done with waiting.
         """
@@ -355,7 +355,7 @@ class Collector:
         self._answers.unpack(inputs)
 
     def idle(self, until_s: float) -> None:
-        """Take what comes between two cycles, until that `time.monotonic`."""
+        """Handle frames between two cycles, until that time of `time.monotonic`."""
         port = self._port
         while port.wait(until_s):
             raw = port.receive(0.0)
@@ -426,7 +426,7 @@ class Collector:
         return all_came and not debts
 
     def _take_more(self, give_up_s: float) -> None:
-        """Take what comes as long as anything is owed."""
+        """Handle frames as long as answers are missing."""
         while self._debts:
             raw = self._port.receive(give_up_s)
             if raw is None:
@@ -456,7 +456,7 @@ class Collector:
         self._late_axes.add(self._answers.axis(slot))
 
     def _miss(self, inputs: Inputs) -> None:
-        """Fill empty slots with what was there before, and keep in mind who owes what."""
+        """Fill empty slots with earlier data, and note which answers are missing."""
         answers, came = self._answers, self._came
         owed = set(self._debts.slots)
         for slot, raw in enumerate(came):
@@ -505,7 +505,7 @@ class Debts:
 
     @property
     def watched(self) -> bool:
-        """Whether any slot is strict: all its frames are to be told to `came`."""
+        """Whether any slot is strict: all its frames are passed to `came`."""
         return bool(self._single)
 
     def owe(self, slot: int) -> None:
@@ -563,7 +563,7 @@ _BOOT_UP = 0
 
 
 class NodeWatch:
-    """Looks at every frame that is no process data, and at the heartbeats that do not come.
+    """Handles frames that are no process data, and overdue heartbeats.
 
     Args:
         nodes: Of our drives.
@@ -607,7 +607,7 @@ class NodeWatch:
         self._silent.clear()
 
     def take_news(self) -> News | None:
-        """What has come since it was last asked for; None when there is nothing."""
+        """Return news since the last call; None if there are none."""
         if not self._news.any:
             return None
         news, self._news = self._news, News()
@@ -632,7 +632,7 @@ class NodeWatch:
             self._notify(can_id, data[:length], time.time())
 
     def look(self, device_s: float) -> None:
-        """Whose heartbeat is overdue, at a device time [s]."""
+        """Note axes whose heartbeat is overdue, at a device time [s]."""
         self._device_s, self.look_at = device_s, device_s + LOOK_S
         if not self._watching:
             return
@@ -642,7 +642,7 @@ class NodeWatch:
                 self._news.silent.append(axis)
 
     def overflow(self) -> None:
-        """A frame of the present cycle has found no room."""
+        """Count a frame of the present cycle for which there was no room."""
         self.counts.overflows += 1
         most = self._late_cycles
         if self._overflowing.in_cycle(self.cycle) > most:
@@ -657,13 +657,13 @@ class NodeWatch:
             self._tell(f"two nodes answer as node {self._nodes[axis]}")
 
     def _foreign(self, can_id: int, data: bytes) -> None:
-        if said := self._masters.heard(can_id, data):
-            self._tell(said)
+        if problem := self._masters.heard(can_id, data):
+            self._tell(problem)
 
-    def _tell(self, said: str) -> None:
+    def _tell(self, problem: str) -> None:
         """The first of a cycle, while the arm is driven."""
         if self._watching and not self._news.bus_error:
-            self._news.bus_error = said
+            self._news.bus_error = problem
 
     def _heartbeat(self, axis: int, data: bytes) -> None:
         self._heard_s[axis] = self._device_s
@@ -684,7 +684,7 @@ class NodeWatch:
 
 @dataclass(slots=True)
 class Counts:
-    """What has gone wrong on the bus; in words by `str`, empty when nothing has.
+    """Counts of errors on the bus; `str` has them in words, empty if there are none.
 
     Attributes:
         missing: TPDOs that had not come when their cycle was over.
@@ -703,7 +703,7 @@ class Counts:
     overflows: int = 0
 
     def __str__(self) -> str:
-        told = (
+        counts = (
             ("answers (TPDOs) missing", self.missing),
             ("of them late", self.late),
             ("doubled", self.doubled),
@@ -711,7 +711,7 @@ class Counts:
             ("frames of nodes that are not ours", self.foreign),
             ("without room in a queue", self.overflows),
         )
-        return ", ".join(f"{number} {what}" for what, number in told if number)
+        return ", ".join(f"{number} {what}" for what, number in counts if number)
 
 
 class InARow:
@@ -769,7 +769,7 @@ def require_no_master(
 
 
 class MasterWatch:
-    """Tells what another master sends while we drive the arm.
+    """Notices frames of another master while the arm is driven.
 
     A stop from outside (`stop_directly`) is quick stops and a SYNC; that is no
     second master, and the axes themselves tell that they stop.
@@ -783,7 +783,7 @@ class MasterWatch:
         self._allowed_until_s = 0.0
 
     def heard(self, can_id: int, data: bytes) -> str:
-        """What is wrong with a frame that we did not send; empty when nothing is."""
+        """Return what is wrong with a frame of another sender; empty if nothing is."""
         name = self._names.get(can_id)
         if name is None:
             return ""
@@ -831,7 +831,7 @@ class Temperatures:
         self.celsius: FloatArray = np.full(len(nodes), np.nan)
 
     def heard(self, can_id: int, data: bytes) -> None:
-        """A frame; all but answers that tell that object are passed over."""
+        """Handle a frame; only answers with that object matter."""
         axis = self._axes.get(can_id)
         if axis is None or not self._index or len(data) < _ANSWER.size:
             return

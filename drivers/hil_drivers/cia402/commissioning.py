@@ -106,20 +106,20 @@ class Drive:
 
     @property
     def max_torque_nm(self) -> float:
-        """Joint torque to which it limits itself (6072h) [N·m]; NaN if it does not say."""
+        """Torque limit of the drive at the joint (6072h) [N·m]; NaN if it has none."""
         most = self.objects.get("max_torque")
         return math.nan if most is None else most * abs(self.profile.nm_per_count)
 
     @property
     def quick_stop_rad_s2(self) -> float:
-        """Deceleration of its quick stop [rad/s²], 6085h or the station's; NaN if none says."""
+        """Deceleration of its quick stop [rad/s²], 6085h or the station's; NaN if unknown."""
         if self.profile.quick_stop_rad_s2:
             return self.profile.quick_stop_rad_s2
         ramp = self.objects.get("quick_stop_deceleration")
         return math.nan if ramp is None else ramp * abs(self.profile.rad_s_per_count)
 
     def quick_stop_s(self, speed_rad_s: float) -> float:
-        """How long its quick stop takes from a speed of the joint [s]; NaN if none says."""
+        """Return the duration of its quick stop from a joint speed [s]; NaN if unknown."""
         ramp = self.quick_stop_rad_s2
         return speed_rad_s / ramp if ramp else math.inf
 
@@ -238,12 +238,12 @@ def _inspected(
     modes = {MODES[options.trajectory_mode]: options.trajectory_mode}
     if wrong := list(wrong_kind(objects, modes)):
         return None, wrong
-    said = profile_fields(objects)
+    own = profile_fields(objects)
     torque_of = {**PROFILES[options.profile], **given}.get("torque_of", "")
     wrong = [
-        f"is not as the station says: {each}" for each in contradictions(given, said, torque_of)
+        f"is not as the station says: {each}" for each in contradictions(given, own, torque_of)
     ]
-    profile = profile_of(options.profile, given, said, float(arm.gear_ratio[axis]))
+    profile = profile_of(options.profile, given, own, float(arm.gear_ratio[axis]))
     if isinstance(profile, str):
         return None, [*wrong, profile]
     drive = Drive(objects, profile)
@@ -253,7 +253,7 @@ def _inspected(
 
 
 def objects_of(acyclic: Acyclic, axis: int, profile: str) -> dict[str, int]:
-    """All that is asked of a drive, by name."""
+    """Read the objects of a drive, by name."""
     read = {
         entry.name: read_if_there(acyclic, axis, entry)
         for entry in ASKED + ASKED_TOO.get(profile, ())
@@ -272,26 +272,26 @@ def read_if_there(acyclic: Acyclic, axis: int, entry: Entry) -> int | None:
 
 
 def profile_fields(objects: Mapping[str, int]) -> dict[str, Any]:
-    """Fields of `AxisProfile` in a drive's own words; what is 0 was never set."""
-    said: dict[str, Any] = {
+    """Return fields of `AxisProfile` from a drive's objects; a value of 0 was never set."""
+    values: dict[str, Any] = {
         name: objects[name]
         for name in ("encoder_increments", "encoder_revolutions")
         if objects.get(name)
     }
     if objects.get("gear_motor") and objects.get("gear_shaft"):
-        said["gear_ratio"] = objects["gear_motor"] / objects["gear_shaft"]
+        values["gear_ratio"] = objects["gear_motor"] / objects["gear_shaft"]
     for name, field in (
         ("rated_current", "rated_current_a"),
         ("rated_torque", "rated_torque_nm"),
         ("torque_constant", "torque_constant_nm_a"),
     ):
         if objects.get(name):
-            said[field] = objects[name] / 1000.0
+            values[field] = objects[name] / 1000.0
     if "polarity" in objects:
-        said["polarity"] = objects["polarity"] & 0xE0
+        values["polarity"] = objects["polarity"] & 0xE0
     if "torque_scaling" in objects:
-        said["rated_current_is"] = "rms" if objects["torque_scaling"] & 1 else "peak"
-    return said
+        values["rated_current_is"] = "rms" if objects["torque_scaling"] & 1 else "peak"
+    return values
 
 
 def wrong_kind(objects: Mapping[str, int], modes: Mapping[int, str]) -> Iterator[str]:
@@ -314,7 +314,7 @@ def wrong_kind(objects: Mapping[str, int], modes: Mapping[int, str]) -> Iterator
 def contradictions(
     given: Mapping[str, Any], said: Mapping[str, Any], torque_of: str
 ) -> Iterator[str]:
-    """Where station and drive say different things of the same.
+    """Return contradictions between station and drive.
 
     A drive that says 1:1 of its gear was never told of one, and 6076h is not looked at where
     torque goes by the rated current.
@@ -385,7 +385,7 @@ def out_of_range(profile: AxisProfile, q_min: float, q_max: float) -> Iterator[s
 
 
 def brakes_too_slowly(drive: Drive, qd_max: float) -> Iterator[str]:
-    """Why the quick stop of a drive is none; a drive that does not say is not judged.
+    """Return why a drive's quick stop is too slow; empty if it is not, or if its ramp is unknown.
 
     Args:
         drive: As it is.
@@ -395,9 +395,9 @@ def brakes_too_slowly(drive: Drive, qd_max: float) -> Iterator[str]:
     if not takes_s > LONGEST_RAMP_S:
         return
     least = math.ceil(qd_max / LONGEST_RAMP_S / abs(drive.profile.rad_s_per_count))
-    told = drive.objects.get("quick_stop_deceleration")
+    raw = drive.objects.get("quick_stop_deceleration")
     yield (
-        f"brakes too slowly in a quick stop: {od.QUICK_STOP_DECELERATION} is {told}, that is "
+        f"brakes too slowly in a quick stop: {od.QUICK_STOP_DECELERATION} is {raw}, that is "
         f"{ramp:.3g} rad/s² and takes {takes_s:.3g} s from {qd_max:.2f} rad/s; at least {least} "
         f"({qd_max / LONGEST_RAMP_S:.3g} rad/s², {LONGEST_RAMP_S:g} s) is needed. If its unit is "
         "another one, give axes.quick_stop_rad_s2"
@@ -429,7 +429,7 @@ def _limit(options: Options) -> int:
 
 
 def settings_of(options: Options, profile: AxisProfile) -> list[Setting]:
-    """What one drive is set to, whatever the bus, in the order of writing."""
+    """Return the settings of one drive on any bus, in the order of writing."""
     lag = math.radians(options.following_error_deg) / abs(profile.rad_per_increment)
     settings = [
         Setting(od.INTERPOLATION_INDEX, -3),
@@ -446,7 +446,7 @@ def settings_of(options: Options, profile: AxisProfile) -> list[Setting]:
 
 
 def set_up(acyclic: Acyclic, axis: int, settings: Sequence[Setting]) -> tuple[str, ...]:
-    """Make one drive's objects what they are to be; written only where they are not.
+    """Write the settings of one drive that it does not have already, and read them back.
 
     Returns:
         Objects that it does not have and that it can do without.
@@ -512,12 +512,12 @@ NAMES = ("payload_mass", "payload_x", "payload_y", "payload_z")
 
 
 def declare(acyclic: Acyclic, index: int, payload: Payload) -> Payload:
-    """Write a load, and read back what the drive has: its inertia is not told.
+    """Write a load and read it back; the drive has no object for its inertia.
 
     Args:
         acyclic: The drives.
         index: The object.
-        payload: What is mounted.
+        payload: The mounted load.
 
     Raises:
         CommandRefused: The drive does not take it.
@@ -555,7 +555,7 @@ HINT = (
 
 @dataclass(frozen=True, slots=True)
 class LeftFault:
-    """A drive in fault before anything was asked of it.
+    """A fault that a drive was in at connecting.
 
     Attributes:
         axis: From 0.
@@ -573,15 +573,15 @@ class LeftFault:
         return bool(self.codes) and all(code & _CLASS == MONITORING for code in self.codes)
 
     def __str__(self) -> str:
-        said = [error_text(code) for code in self.codes[:1]] or ["no error code"]
+        newest = [error_text(code) for code in self.codes[:1]] or ["no error code"]
         older = [f"{code:04X}h" for code in dict.fromkeys(self.codes[1:])]
-        return f"{self.name} is in fault: {said[0]}" + (
+        return f"{self.name} is in fault: {newest[0]}" + (
             f", before {', '.join(older)}" * bool(older)
         )
 
 
 def faults_left(acyclic: Acyclic) -> list[LeftFault]:
-    """The axes that are in fault, with their errors; raises what SDO raises."""
+    """Return the faults of all axes, with their errors; raises as SDO requests do."""
     faulty = [axis for axis in range(acyclic.n) if _is_faulty(acyclic, axis)]
     return [LeftFault(a, acyclic.name_of(a), tuple(errors_of(acyclic, a))) for a in faulty]
 
@@ -594,15 +594,15 @@ def errors_of(acyclic: Acyclic, axis: int) -> list[int]:
     """Codes of a drive's errors: the present one (603Fh), then the newest of its list (1003h)."""
     now = read_if_there(acyclic, axis, od.ERROR_CODE) or 0
     count = min(read_if_there(acyclic, axis, od.ERROR_COUNT) or 0, MOST_ERRORS)
-    kept = [
+    listed = [
         acyclic.upload(axis, Entry("past error", od.ERROR_COUNT.index, sub, "I")) & 0xFFFF
         for sub in range(1, count + 1)
     ]
-    return [now, *kept[kept[:1] == [now] :]] if now else kept
+    return [now, *listed[listed[:1] == [now] :]] if now else listed
 
 
 def require_resettable(faults: list[LeftFault]) -> None:
-    """Refuse faults that say something of the hardware.
+    """Raise if a fault is one of the hardware.
 
     Raises:
         RobotFault: With all of them.

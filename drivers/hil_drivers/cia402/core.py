@@ -85,7 +85,7 @@ class Core:
     Args:
         cyclic: The drives.
         supervisor, player: Write to `outputs`.
-        outputs: What the drives are told.
+        outputs: Commands to the drives.
         schedule: When cycles begin.
         mapping: Of every axis.
         period_s: Device time of a cycle [s].
@@ -257,7 +257,7 @@ class Core:
         return [sum(column) / len(rows) for column in zip(*rows, strict=True)]
 
     def take_problem(self) -> str:
-        """What ended a motion or enabling, told once; empty when nothing did."""
+        """Return and clear the problem that ended a motion or enabling; empty if there was none."""
         problem, self._problem = self._problem, ""
         return problem
 
@@ -335,7 +335,7 @@ class Core:
         self._let_pass(
             lambda: self._is_cycling and self.phase is not Phase.OFF, END_S * max(1.0, self._slower)
         )
-        # What was told last goes out with the next cycle and is applied in the one after it.
+        # The last command goes out with the next cycle and is applied in the one after it.
         over = self._cyclic.cycle + LAST_CYCLES
         self._let_pass(lambda: self._is_cycling and self._cyclic.cycle < over, JOIN_S)
 
@@ -412,7 +412,7 @@ class Core:
         if self._asked:
             self._obey()
         outputs, supervisor, player = self._outputs, self._supervisor, self._player
-        told = outputs.segment, outputs.status
+        announced = outputs.segment, outputs.status
         self.ring.begin()
         inputs = self._inputs = self._cyclic.exchange(outputs, self.schedule.give_up)
         flags = LATE if late else 0
@@ -430,7 +430,7 @@ class Core:
             self._be_off()
         if self._stalled and self._cyclic.cycle >= self._tell_at:
             self._tell("")
-        self._keep(told, flags)
+        self._keep(announced, flags)
         if self.schedule.cycles >= self._clean_up_at:
             self._clean_up()
 
@@ -510,7 +510,7 @@ class Ring:
         batch: So many are waited for before the thread that takes is woken.
 
     Attributes:
-        forgotten: Records let go because they were not taken.
+        forgotten: Records dropped because they were not taken.
     """
 
     def __init__(
@@ -532,7 +532,7 @@ class Ring:
         return self._written - self._taken >= self._capacity
 
     def begin(self) -> None:
-        """A cycle begins: what is known of temperatures now goes into its record.
+        """Begin the record of a cycle with the temperatures known by now.
 
         Not what is known when it ends: a log of the bus tells what came before a SYNC, but not
         when we were done with the answers to it.
@@ -540,7 +540,7 @@ class Ring:
         self._celsius = self._temperature.tobytes()
 
     def put(self, cyclic: Cyclic, told: tuple[int, int], fault_code: int, flags: int) -> None:
-        """Write what the last exchange has left behind; the ring is not full.
+        """Write the record of the last exchange; the ring must have room.
 
         Args:
             cyclic: Has exchanged.
@@ -565,14 +565,14 @@ class Ring:
             self.wake()
 
     def forget(self, count: int) -> None:
-        """Let go of the oldest ones."""
+        """Drop the oldest records."""
         with self._moving:
             count = min(count, self._written - self._taken)
             self._taken += count
             self.forgotten += count
 
     def wake(self) -> None:
-        """Let the thread that waits in `take` have what there is."""
+        """Let the thread that waits in `take` return the records so far."""
         self._asleep = False
         with contextlib.suppress(RuntimeError):  # it rings already
             self._bell.release()

@@ -29,7 +29,7 @@ class Pdo:
 
     Attributes:
         number: From 1.
-        entries: What it carries, in order; at most eight bytes.
+        entries: Its objects, in order; at most eight bytes.
     """
 
     number: int

@@ -32,7 +32,7 @@ class Entry:
 
     @property
     def size(self) -> int:
-        """Bytes."""
+        """Size of its value in bytes."""
         return struct.calcsize("<" + self.code)
 
     @property
@@ -42,7 +42,7 @@ class Entry:
 
     @property
     def mapped(self) -> int:
-        """What 16xxh and 1Axxh hold for it: index, sub-index, length in bits."""
+        """Its entry in 16xxh and 1Axxh: index, sub-index, length in bits."""
         return self.index << 16 | self.sub << 8 | self.bits
 
     def __str__(self) -> str:

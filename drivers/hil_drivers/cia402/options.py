@@ -140,7 +140,7 @@ CHOICES = {
 
 
 def options_of(given: Mapping[str, Any], model: str) -> Options:
-    """The options of a station's mapping, for a built-in arm; what is None is not given.
+    """Return the options of a station's mapping for a built-in arm; None counts as absent.
 
     Raises:
         SpecError: One is missing, unknown, or cannot be; or the bus has no room for it.
@@ -148,24 +148,24 @@ def options_of(given: Mapping[str, Any], model: str) -> Options:
     _MUST.require_known(given, [each.name for each in fields(Options)])
     arm = load_arm(model)
     n = arm.n_joints
-    told = {name: value for name, value in given.items() if value is not None}
-    taken = _one_by_one(told)
-    bus = bus_of(told.get("bus"))
+    present = {name: value for name, value in given.items() if value is not None}
+    taken = _one_by_one(present)
+    bus = bus_of(present.get("bus"))
     options = Options(
         **{
             **taken,
             "bus": bus,
             "nodes": _nodes(
-                told.get("nodes", list(range(1, n + 1))), n, taken.get("master_id", MASTER_ID)
+                present.get("nodes", list(range(1, n + 1))), n, taken.get("master_id", MASTER_ID)
             ),
-            "rate_hz": 1000.0 / _period_ms(told.get("rate_hz", arm.rate_hz)),
-            "pace": _pace(told.get("pace", 1), bus),
+            "rate_hz": 1000.0 / _period_ms(present.get("rate_hz", arm.rate_hz)),
+            "pace": _pace(present.get("pace", 1), bus),
             "late_cycles": taken.get(
                 "late_cycles", LATE_CYCLES_SIMULATED if bus.interface in SIMULATED else LATE_CYCLES
             ),
             "mapping": taken.get("mapping") or _allowed(taken)[0],
-            "axes": axes_of(told.get("axes", {}), arm),
-            "eds": tuple(_MUST.file("eds", each) for each in _listed("eds", told, n)),
+            "axes": axes_of(present.get("axes", {}), arm),
+            "eds": tuple(_MUST.file("eds", each) for each in _listed("eds", present, n)),
         }
     )
     _require_mapping(options, taken)
@@ -223,7 +223,7 @@ def _nodes(value: Any, n: int, master_id: int) -> tuple[int, ...]:
 
 
 def _period_ms(value: Any) -> int:
-    """Whole milliseconds from SYNC to SYNC, which is what every drive's 60C2h can say."""
+    """Return whole milliseconds from SYNC to SYNC: every drive's 60C2h has those."""
     rate = _MUST.number("rate_hz", value, (4.0, 1000.0))
     period = round(1000.0 / rate)
     if not math.isclose(1000.0 / rate, period, rel_tol=1e-3):
@@ -255,7 +255,7 @@ def _pace(value: Any, bus: CanChannel) -> float:
 
 
 def _allowed(taken: Mapping[str, Any]) -> list[str]:
-    """Mappings that carry what is asked for, best first."""
+    """Return the mappings that have the needed objects, best first."""
     if taken.get("feed_forward") or taken.get("trajectory_mode", "csp") != "csp":
         return ["all-modes"]
     return ["position", "minimal", "all-modes"]
@@ -314,7 +314,7 @@ AXIS_KEYS = (*AXIS_WHOLE, *AXIS_RANGES, *AXIS_CHOICES, "position_unsigned")
 
 
 def axes_of(value: Any, arm: ArmDescription) -> tuple[Mapping[str, Any], ...]:
-    """What the station says of each axis, by the names of `AxisProfile`.
+    """Return the station's values of each axis, by the names of `AxisProfile`.
 
     Args:
         value: The option `axes`: per key one value for all axes, or one for each.

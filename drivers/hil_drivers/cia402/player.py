@@ -221,7 +221,7 @@ class Player:
         segment, status: Of the row commanded last: the plan's step and `Status` bits.
         position, velocity, torque: The same row, raw.
         scale: Per axis, radians per increment, above 0.
-        mode: What is played: CSP, CSV or CST; 0 while the drives are not enabled.
+        mode: CSP, CSV or CST; 0 while the drives are not enabled.
     """
 
     def __init__(
@@ -295,11 +295,11 @@ class Player:
         """The drives are enabled in a mode, with these preloaded targets: hold them."""
         with self._lock:
             self._loaded = self._begin = self._track = None
-            held = outputs.torque_offset if mode == od.CSP else outputs.target_torque
+            torque = outputs.torque_offset if mode == od.CSP else outputs.target_torque
             if not self.mode or mode == od.CSP:
-                self._at_rest(outputs.target_position, held)
+                self._at_rest(outputs.target_position, torque)
             else:
-                self._at_rest(self.position, held)
+                self._at_rest(self.position, torque)
             self.mode, self.status = mode, HOLDING
 
     def disengage(self) -> None:
@@ -400,7 +400,7 @@ class Player:
 
 
 def farthest(a: Sequence[int], b: Sequence[int], scale: Sequence[float]) -> tuple[float, int]:
-    """The largest distance between positions, and whose axis it is, each times its scale."""
+    """Return the largest distance between positions, each times its scale, and its axis."""
     return max(
         (abs(wrapped(p - q)) * by, axis)
         for axis, (p, q, by) in enumerate(zip(a, b, scale, strict=True))
@@ -424,7 +424,7 @@ class Fade:
         self.end()
 
     def begin(self, present: Sequence[int], torque: Sequence[int]) -> None:
-        """From what is commanded now to what the next motion begins with [‰]."""
+        """Begin to fade from the present torque to the first one of the next motion [‰]."""
         self._bias = [now - then for now, then in zip(present, torque, strict=True)]
         self._left = 1.0
 
@@ -433,7 +433,7 @@ class Fade:
         self._bias, self._left = [0] * self._n, 0.0
 
     def faded(self, torque: list[int]) -> list[int]:
-        """A row's torque, with what is left of the step; goes on by a cycle."""
+        """Return a row's torque with the rest of the step, and advance by a cycle."""
         if self._left <= 0.0:
             return torque
         self._left -= self._per_cycle
@@ -501,7 +501,7 @@ def gains_of(
 
 
 def _joint(given: Mapping[str, Any], arm: ArmDescription, axis: int) -> tuple[float, float]:
-    """Spring [N·m/rad] and damper [N·m·s/rad]; the damper follows a spring that is given."""
+    """Return spring [N·m/rad] and damper [N·m·s/rad]; a given spring determines the damper."""
     inertia = INERTIA_SHARE * float(arm.effort_max[axis] / arm.qdd_max[axis])
     stiffness = float(given.get("stiffness_nm_rad", inertia * LOOP_RAD_S**2))
     damping = float(given.get("damping_nms_rad", 2.0 * math.sqrt(stiffness * inertia)))
@@ -525,7 +525,7 @@ def torques(
     velocity: Sequence[int],
     inputs: Inputs,
 ) -> list[int]:
-    """CST: feed-forward, a spring and a damper to what is to show by now."""
+    """Return torques in CST: feed-forward, with spring and damper to the present set-point."""
     return [
         _within(
             round(

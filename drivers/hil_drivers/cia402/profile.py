@@ -157,12 +157,12 @@ PROFILES: dict[str, dict[str, Any]] = {
 
 
 def wrapped(value: int) -> int:
-    """As 32 bits with sign: what a counter that runs over shows, and the shorter way round."""
+    """Return a value as 32 bits with sign: as a counter wraps, and the shorter way round."""
     return (value + _HALF) % WRAP - _HALF
 
 
 def axis_profile(name: str, given: Mapping[str, Any], found: Mapping[str, Any]) -> AxisProfile:
-    """The profile of one axis.
+    """Return the profile of one axis.
 
     Args:
         name: A key of `PROFILES`.
@@ -202,7 +202,7 @@ class Scaling:
         axes: The same.
         position_resolution: Joint angle of one increment [rad], (n,).
         velocity_resolution: Joint velocity of one count of 606Ch [rad/s], (n,).
-        torque_resolution: Joint torque of one count of 6077h [N·m], (n,): nothing finer is told.
+        torque_resolution: Joint torque of one count of 6077h [N·m], (n,): the finest step.
         current_resolution: Current of one count of 6078h [A], (n,).
     """
 
@@ -227,7 +227,7 @@ class Scaling:
 
     @property
     def drive_gains(self) -> tuple[float, ...]:
-        """Joint torque per ampere of what `current` gives [N·m/A]."""
+        """Joint torque per ampere of `current` [N·m/A]."""
         return tuple(axis.drive_gain for axis in self.axes)
 
     def position(self, raw: Any) -> FloatArray:

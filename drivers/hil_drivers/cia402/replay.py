@@ -42,7 +42,7 @@ class Replay:
         log: The file.
         model: Built-in arm.
         options: The station's.
-        robot: `start.json: robot` of the run: what the drives had told about themselves.
+        robot: `start.json: robot` of the run, with the objects of the drives.
 
     Raises:
         SpecError: An option cannot be.
@@ -67,12 +67,12 @@ class Replay:
         """See `RecordedLog`."""
         options, period_s = self._options, self._options.period_s
         rows = StateRows(self._mapping, self._scaling, period_s, options.effort)
-        found = False
+        any_cycles = False
         for cycles in BusCycles(options, self._mapping).blocks(read_candump(self._log)):
-            found = True
+            any_cycles = True
             further = {TOPIC: raw_rows(cycles, self._mapping, self._topic, period_s)}
             yield rows.rows(cycles), further
-        if not found:
+        if not any_cycles:
             raise DataError(
                 f"{self._log} holds no SYNC (COB-ID 080): it is no log of this run's bus",
                 hint="log with the station's option candump, or with candump -L on the same bus",
@@ -80,7 +80,7 @@ class Replay:
 
 
 def profiles_of(options: Options, model: str, robot: MappingOf[str, Any]) -> list[AxisProfile]:
-    """What the integers of all axes meant in a run.
+    """Return the profiles of all axes in a run.
 
     Args:
         options: Of its station.
@@ -93,8 +93,8 @@ def profiles_of(options: Options, model: str, robot: MappingOf[str, Any]) -> lis
     arm, details = load_arm(model), robot.get("identity", {}).get("details", {})
     profiles = []
     for axis, given in enumerate(options.axes):
-        said = profile_fields(_objects(details, axis))
-        profile = profile_of(options.profile, given, said, float(arm.gear_ratio[axis]))
+        own = profile_fields(_objects(details, axis))
+        profile = profile_of(options.profile, given, own, float(arm.gear_ratio[axis]))
         if isinstance(profile, str):
             raise DataError(
                 f"start.json: robot: axis {axis + 1} {profile}",
@@ -153,19 +153,19 @@ class BusCycles:
 
     def blocks(self, frames: Iterable[Frame]) -> Iterator[StructArray]:
         """Records of all cycles in which anything was answered or commanded, in order."""
-        kept: list[Any] = []
+        records: list[Any] = []
         for frame in frames:
             if frame.id == SYNC_COB_ID:
-                kept += self._closed()
+                records += self._closed()
                 self._open(frame)
             else:
                 self._take(frame)
-            if len(kept) >= BLOCK:
-                yield self._block(kept)
-                kept = []
-        kept += self._closed()
-        if kept:
-            yield self._block(kept)
+            if len(records) >= BLOCK:
+                yield self._block(records)
+                records = []
+        records += self._closed()
+        if records:
+            yield self._block(records)
 
     def _open(self, frame: Frame) -> None:
         self._cycle, self._sync_time = self._cycle + 1, frame.time_s

@@ -91,20 +91,20 @@ QUIET = 2
 """Answers in a row that are missing where the last known state is no news any more."""
 
 TOLD_AFTER_S = 0.05
-"""How long other news of the same mishap are waited for before it is told [s]."""
+"""Time in which further news of the same mishap is gathered into one message [s]."""
 
 
 class Supervisor:
-    """What the drives are told beside set-points: one `step` a cycle, by the cyclic thread.
+    """Brings all axes through their states: one `step` a cycle, by the cyclic thread.
 
     Args:
         nodes: Node ids, for messages; their number is that of the axes.
         period_s: Device time of a cycle [s].
-        outputs: What it writes to: controlwords, modes, and preloaded targets.
+        outputs: Where it writes controlwords, modes, and preloaded targets.
         mode_mapped: Whether the process data hold 6060h and 6061h.
         late_cycles: Cycles in a row that an axis may not answer.
         braking: Watches quick stops.
-        tracking: Watches whether enabled axes go where they are told.
+        tracking: Watches whether enabled axes follow their set-points.
         names: Of the axes, for messages.
 
     Attributes:
@@ -158,7 +158,7 @@ class Supervisor:
 
     @property
     def complains(self) -> bool:
-        """Whether there is a problem that is not told yet."""
+        """Whether there is a problem that `take_problem` has not returned yet."""
         return bool(self._complaints)
 
     def enable(self, mode: int) -> None:
@@ -171,7 +171,7 @@ class Supervisor:
         self._enter(Phase.MODE)
 
     def switch(self, mode: int) -> None:
-        """Begin to switch the mode of enabled axes at rest; what they measure is preloaded."""
+        """Begin to switch the mode of enabled axes at rest, with measured values preloaded."""
         before, self.mode = self.mode, mode
         outputs, inputs = self._outputs, self._inputs
         if before != od.CSP:
@@ -197,7 +197,7 @@ class Supervisor:
         """Brake all axes now, by the drives' own ramps, and switch them off.
 
         Args:
-            why: Told as the problem; none when empty.
+            why: The problem, for the message; none when empty.
         """
         if why:
             self._complaints.add(None, why, self._cycle)
@@ -207,7 +207,7 @@ class Supervisor:
         self._outputs.controlword[:] = [QUICK_STOP] * self._n
 
     def hear(self, news: News) -> None:
-        """What came beside process data; before the `step` of the same cycle."""
+        """Take messages beside process data; to be called before the `step` of the same cycle."""
         for emergency in news.emergencies:
             self._codes[emergency.axis] = emergency.code
             if emergency.code:
@@ -222,7 +222,7 @@ class Supervisor:
             self._complain(None, news.bus_error)
 
     def step(self, inputs: Inputs, cycle: int) -> None:
-        """Judge what the drives answered, and write what they are told next."""
+        """Judge the answers of the drives, and write the next controlwords and modes."""
         self._cycle, self._inputs = cycle, inputs
         judge = self._judge
         if self._tracking and self.phase is Phase.ENABLED:
@@ -243,7 +243,7 @@ class Supervisor:
         judge.settle(inputs, self.phase)
 
     def take_problem(self) -> str:
-        """What made it stop all axes, with all axes' states; told once, empty else."""
+        """Return and clear the problem that stopped all axes, with their states; empty if none."""
         waited = self._cycle - self._complaints.since >= TOLD_AFTER_S / self._period_s
         if not self._complaints or not waited:
             return ""
@@ -288,7 +288,7 @@ class Supervisor:
             self._give_up(wrong or [axis for axis, is_so in enumerate(ready) if not is_so])
 
     def _go_on_enabling(self, inputs: Inputs) -> None:
-        """All axes wait for the last one at `SWITCHED_ON`: none is let go alone."""
+        """Enable the axes together: all wait for the last one at `SWITCHED_ON`."""
         on = (State.SWITCHED_ON, State.ENABLED)
         together = all(state in on for state in self._states)
         words = self._outputs.controlword
@@ -297,7 +297,7 @@ class Supervisor:
             if word == ENABLE and not together:
                 word = SWITCH_ON
             if words[axis] != ENABLE:
-                self._preload((axis,))  # not any more once it has been let go
+                self._preload((axis,))  # no longer once it may be enabled
             words[axis] = word
         if all(state is State.ENABLED for state in self._states):
             self._enter(Phase.ENABLED)
@@ -315,9 +315,9 @@ class Supervisor:
             self._give_up(wrong)
 
     def _brake(self, inputs: Inputs) -> None:
-        """Quick stop until no axis carries current; silent ones may hear it all the same."""
+        """Send quick stop until no axis has current; silent axes may still receive it."""
         carrying = [axis for axis in range(self._n) if self._states[axis] in POWERED]
-        self._let_go_what_does_not_brake(carrying, inputs)
+        self._switch_off_what_does_not_brake(carrying, inputs)
         answering = any(self._judge.answers(axis) for axis in carrying)
         given_s = WITHIN_S[Phase.BRAKING] if answering else SILENT_S
         if not carrying or self._for_s() > given_s:
@@ -326,14 +326,14 @@ class Supervisor:
         else:
             self._steer(Goal.QUICK_STOP)
 
-    def _let_go_what_does_not_brake(self, carrying: list[int], inputs: Inputs) -> None:
-        """Better a brake that closes on a moving joint than one that goes on moving."""
+    def _switch_off_what_does_not_brake(self, carrying: list[int], inputs: Inputs) -> None:
+        """Switch off axes that do not brake: better a closing brake than a joint that moves on."""
         self._braking.look(inputs)
         for axis in set(carrying) - self._let_go:
             answers = self._judge.answers(axis)
-            if answers and (said := self._braking.complaint(axis, self._for_s())):
+            if answers and (complaint := self._braking.complaint(axis, self._for_s())):
                 self._let_go.add(axis)
-                self._complaints.add(axis, said, self._cycle)
+                self._complaints.add(axis, complaint, self._cycle)
 
     def _go_on_disabling(self, inputs: Inputs) -> None:
         self._steer(Goal.OFF)
@@ -396,7 +396,7 @@ BEHIND_TIMES = 3
 
 
 class Judge:
-    """What is wrong with which axis.
+    """Finds problems of the axes in the answers of one cycle.
 
     Args:
         n: Axes.
@@ -445,14 +445,14 @@ class Judge:
         ]
 
     def settle(self, inputs: Inputs, phase: Phase) -> None:
-        """All that follows from these answers has been done: are they what is to stay?"""
+        """Note, once all has followed from these answers, whether nothing is left to change."""
         well = phase is Phase.ENABLED and all(self._follows) and not any(self._behind)
         self._calm = inputs.statusword.copy() if well else []
 
     def judge(
         self, inputs: Inputs, found: Sequence[State], phase: Phase, mode: int, for_s: float
     ) -> Iterator[tuple[int, str]]:
-        """Axes that are not as they are to be, and what is wrong.
+        """Yield the axes that are not as expected, each with the problem.
 
         Args:
             inputs: Of this cycle.
@@ -506,7 +506,7 @@ _MOVING = (None, State.ENABLED, State.UNKNOWN)
 
 
 class Complaints:
-    """What made all axes stop, and what else came of it.
+    """Collects the problems that made all axes stop, until they are worth one message.
 
     Args:
         names, nodes: Of the axes.
@@ -527,7 +527,7 @@ class Complaints:
         return bool(self._of_bus or self._of_axes)
 
     def clear(self) -> None:
-        """Begin anew; what was only kept is kept."""
+        """Forget the problems; explanations that were kept stay."""
         self._of_bus, self._of_axes = [], {}
 
     def add(self, axis: int | None, what: str, cycle: int) -> None:
@@ -541,11 +541,11 @@ class Complaints:
             known.append(what)
 
     def keep(self, axis: int, what: str) -> None:
-        """Something that stops nothing now, and may explain what comes."""
+        """Keep something that stops nothing now but may explain a later problem."""
         self._before[axis] = what
 
     def forget(self, axis: int) -> None:
-        """It says that its errors are gone."""
+        """Forget what was kept of an axis whose errors are gone."""
         self._before.pop(axis, None)
 
     def take(self, states: Sequence[State | None]) -> str:
@@ -563,7 +563,7 @@ class Complaints:
         return f"{told}. {fate}" if fate else told
 
     def _fate(self, states: Sequence[State | None]) -> str:
-        """State of the other axes; none counts as stopped unless its statusword says so."""
+        """Return the state of the other axes; only a statusword counts as a stop."""
         if not any(states):
             return NONE_ANSWERS
         moving = [axis for axis, state in enumerate(states) if state in _MOVING]

@@ -59,13 +59,13 @@ class Schedule:
         self.restart()
 
     def restart(self) -> None:
-        """Forget what was; the next cycle begins at once."""
+        """Forget earlier cycles; the next one begins at once."""
         self.cycles = self.late = self.overrun = 0
         self.lateness, self.lasting = Histogram(), Histogram()
         self.deadline = self._clock() - self._period
 
     def wait(self, idle: Callable[[float], None]) -> bool:
-        """Let the time pass until the next cycle is to begin; whether it begins late.
+        """Wait until the next cycle is to begin; return whether it begins late.
 
         After a late one the times shift: two cycles are never closer than the period less
         `LATE_SHARE` of it, whatever was lost.
@@ -118,7 +118,7 @@ class Histogram:
         self.longest_s = 0.0
 
     def add(self, time_s: float) -> None:
-        """Count one."""
+        """Count a time [s]."""
         at = int(time_s * 1e6)
         self._bins[0 if at < 0 else at if at < self._last else self._last] += 1
         if time_s > self.longest_s:
@@ -181,7 +181,7 @@ class Stalls:
 
     @property
     def text(self) -> str:
-        """What the last gap was, in words."""
+        """The last gap in words."""
         return (
             f"our computer was held up: there was no SYNC for {1e3 * self._gap_s:.3g} ms, "
             f"{self._gap_s / self._period_s:.0f} periods (busy machine, no real-time priority?)"
@@ -202,7 +202,7 @@ SLACK_NS = 1_000
 
 @contextlib.contextmanager
 def realtime() -> Iterator[list[str]]:
-    """What helps while the block runs, for the calling thread and this process.
+    """Make the calling thread punctual while the block runs, as far as permitted.
 
     Garbage is not collected at times of its own choosing: the thread calls `gc.collect` itself.
 
@@ -246,7 +246,7 @@ def _exact_timers() -> None:
 
 
 def _others_sooner() -> dict[int, int]:
-    """Let the other threads of this process run soon; returns how nice they were.
+    """Let the other threads of this process run soon; return their earlier niceness.
 
     One that has the interpreter and not the processor keeps ours waiting, whatever its priority.
     """

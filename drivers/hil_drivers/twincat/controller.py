@@ -312,8 +312,8 @@ class Orders:
         """Send a command and wait for its answer.
 
         Args:
-            order: What to do.
-            what: The same in words, for messages.
+            order: The command.
+            what: The command in words, for messages.
             within_s: How long the answer may take.
             fields: Of the command.
 

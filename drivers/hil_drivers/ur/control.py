@@ -37,7 +37,7 @@ N = 6
 
 
 class Control:
-    """The robot program that obeys us, and the way to it. Not for two threads at once.
+    """The robot program that carries out commands, and the connection to it; for one thread.
 
     Its constructor holds the interpreter, for seconds when something is wrong and for ever when
     the controller does not answer: only in a process that may be killed.
@@ -50,7 +50,7 @@ class Control:
 
     Raises:
         PluginError: `ur-rtde` is not installed.
-        RobotConnectionError: Nobody is there, or somebody else owns the inputs.
+        RobotConnectionError: No controller answers, or another client owns the inputs.
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class Control:
 
     @property
     def playing(self) -> bool:
-        """Whether the robot program runs, as this connection knows it."""
+        """Whether the robot program runs, as far as this connection has received."""
         return bool(self._ask("isProgramRunning"))
 
     @property
@@ -91,7 +91,7 @@ class Control:
         self._command("setWatchdog", least_hz)
 
     def kick(self) -> None:
-        """Tell the watchdog that we are here; clears the command register."""
+        """Reset the watchdog; clears the command register."""
         self._command("kickWatchdog")
 
     def move_j(self, q: Sequence[float], speed: float, acceleration: float) -> None:
@@ -114,7 +114,7 @@ class Control:
         self._ask("stopJ", deceleration)
 
     def set_payload(self, payload: Payload) -> None:
-        """Declare a load; where the controller knows of inertias, with its inertia."""
+        """Declare a load, with its inertia where the controller takes one."""
         com = list(payload.com)
         if self._series >= (5, 10):
             inertia = list(payload.inertia)
@@ -125,7 +125,7 @@ class Control:
         self._command("setPayload", payload.mass, com)
 
     def end(self) -> None:
-        """End the program and let go of the inputs; takes half a second."""
+        """End the program and release the inputs; takes half a second."""
         try:
             if self.playing:
                 self._ask("stopScript")
@@ -220,7 +220,7 @@ class OwnLine:
 
     @contextlib.contextmanager
     def opened(self) -> Iterator[None]:
-        """What is inside opens them."""
+        """Find the connections that are opened inside the block."""
         before = _connections()
         yield
         self._mine = _connections() - before

@@ -67,7 +67,7 @@ REACH_S = 2.0
 
 
 class Controller:
-    """Asked once when it is connected to, and listened to from then on. Commands nothing.
+    """Facts and rows of a controller; commands nothing.
 
     Args:
         model: The arm of the station.
@@ -105,7 +105,7 @@ class Controller:
 
     @property
     def limits(self) -> Limits:
-        """The maker's, or the controller's own where those are stricter and known."""
+        """The maker's limits, or the controller's own where those are stricter and known."""
         return limits_of(self._model, self._options, self.reported)
 
     @property
@@ -164,7 +164,7 @@ class Controller:
         self._require_arm()
 
     def forget_rows(self) -> None:
-        """Let go of the rows from before our program played; from now on all are taken."""
+        """Drop rows from before the program played; from now on all are kept."""
         until = time.monotonic() + READ_BACK_S
         while time.monotonic() < until:
             if program_state(self.receiver.take(READ_BACK_S))[-1] == PLAYING:
@@ -174,7 +174,7 @@ class Controller:
     def findings(
         self, declared: Payload | None, *, moved_by_us: Callable[[], bool]
     ) -> Iterator[Finding]:
-        """Look at what keeps a run from beginning: one finding each.
+        """Yield the driver's lines of a preflight.
 
         Args:
             declared: The load that was declared since the robot was connected.
@@ -226,7 +226,7 @@ class Controller:
         return row
 
     def _limits_finding(self) -> Finding:
-        """The limits that plans are held against are the stricter ones of maker and controller."""
+        """Return whether the limits used are no wider than those of the controller."""
         if self.reported is None:
             message = f"the controller's joint limits are not known: {self.unreported}"
             hint = "see whether port 30001 is open in the controller's security settings"
@@ -249,7 +249,7 @@ class Controller:
 
 @dataclass(frozen=True, slots=True)
 class DashboardFacts:
-    """What RTDE does not say, empty where the dashboard could not be asked.
+    """Facts that RTDE lacks; empty where the dashboard did not answer.
 
     Attributes:
         polyscope: Version of the controller's software.

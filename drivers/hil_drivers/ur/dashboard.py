@@ -28,7 +28,7 @@ class Dashboard:
         within_s: How long connecting, and every answer, may take [s].
 
     Raises:
-        RobotConnectionError: Nobody answers.
+        RobotConnectionError: No dashboard answers.
     """
 
     def __init__(self, address: str, within_s: float = ANSWER_S) -> None:
@@ -45,7 +45,7 @@ class Dashboard:
             raise
 
     def ask(self, command: str) -> str:
-        """What it answers, without the line's end; empty when it does not know the command.
+        """Return the answer without the line's end; empty if the command is unknown.
 
         Raises:
             RobotConnectionError: It has hung up, or has not answered in time.
@@ -103,22 +103,22 @@ FLUSH_S = 0.01
 
 
 def stop_directly(address: str, deceleration: float) -> bool:
-    """Tell the controller to come to rest; from any thread, without a lock.
+    """Stop the arm by a script of its own; for any thread, without a lock.
 
     Args:
         address: Of the controller.
         deceleration: Of the leading joint [rad/s²].
 
     Returns:
-        Whether at least one of the two ways could be told.
+        Whether at least one of the two ways could be sent.
     """
     until = time.monotonic() + STOP_S
     program = f"def hil_stop():\n  stopj({deceleration:.3f})\nend\n".encode()
-    told = _tell(address, SCRIPT_PORT, program, until)
+    sent = _tell(address, SCRIPT_PORT, program, until)
     # What the dashboard does would cut the ramp short that was just asked for: only where it could
-    # not be asked for. In local control both take connections and ignore what they are told; an
+    # not be asked for. In local control both take connections and ignore what they are sent; an
     # arm that does not come to rest tells, and whoever watches it then calls `stop_program`.
-    return told or stop_program(address, until)
+    return sent or stop_program(address, until)
 
 
 def _tell(address: str, port: int, text: bytes, until: float) -> bool:
@@ -135,7 +135,7 @@ def _tell(address: str, port: int, text: bytes, until: float) -> bool:
 
 
 def _listen_briefly(line: socket.socket, until: float) -> None:
-    """Closing with unread bytes resets a line, which may overtake what was just sent on it."""
+    """Read for a moment: closing with unread bytes resets a line, and may discard sent data."""
     until = min(until, time.monotonic() + FLUSH_S)
     with contextlib.suppress(OSError):
         while (left := until - time.monotonic()) > 0:
@@ -145,13 +145,13 @@ def _listen_briefly(line: socket.socket, until: float) -> None:
 
 
 def stop_program(address: str, until: float | None = None) -> bool:
-    """Tell the dashboard to stop whatever program there is; the controller brakes the arm."""
+    """Stop any program by the dashboard; the controller brakes the arm."""
     until = time.monotonic() + STOP_S if until is None else until
     return _tell(address, DASHBOARD_PORT, b"stop\n", until)
 
 
 def end_program(address: str) -> None:
-    """End whatever program there is, also a paused one, and hear that it has ended.
+    """End any program, also a paused one, and wait for the confirmation.
 
     Raises:
         RobotFault: The controller does not do that.

@@ -125,7 +125,7 @@ class MotionProcess:
         """One row of `hil_drivers.ur.motion.PROGRESS`.
 
         Raises:
-            HilError: Why the newest motion was ended; told once.
+            HilError: The error that ended the newest motion, once.
         """
         process = self._alive()
         try:
@@ -151,7 +151,7 @@ class MotionProcess:
         process.stop(STOP_S)
 
     def close(self) -> None:
-        """Let the process end the program and come to its end itself; seconds at most."""
+        """Let the process end the program and exit; takes seconds at most."""
         process, self._process = self._process, None
         if process is None:
             return
@@ -213,7 +213,7 @@ class UrMotion:
 
     @property
     def identity(self) -> Identity:
-        """The controller's software, as its RTDE server tells it."""
+        """The controller's software, as its RTDE server reports it."""
         version = ".".join(map(str, self._receiver.version))
         return Identity(self._model, "", version, "ur")
 
@@ -259,7 +259,7 @@ class UrMotion:
         thread.start()
 
     def set_payload(self, payload: Payload) -> Payload:
-        """Declare a load; what the controller makes of it is for others to read back."""
+        """Declare a load; the caller reads it back."""
         self._moving().use(lambda control: control.set_payload(payload))
         return payload
 
@@ -283,7 +283,7 @@ class UrMotion:
         """One row of `PROGRESS`.
 
         Raises:
-            HilError: Why the newest motion was ended; told once.
+            HilError: The error that ended the newest motion, once.
         """
         state = self._moving().state
         phase, row = state.phase, state.newest
@@ -307,7 +307,7 @@ class UrMotion:
             self._thread.alone = True
 
     def close(self) -> None:
-        """Bring the arm to rest, end the program, let go of the inputs."""
+        """Bring the arm to rest, end the program, release the inputs."""
         thread, self._thread = self._thread, None
         if thread is None:
             return
@@ -349,7 +349,7 @@ LAST_ROW_S = 0.2
 
 
 def _wait_until_playing(receiver: Any) -> None:
-    """Let go of rows from before the program was uploaded.
+    """Drop rows from before the program was uploaded.
 
     `ur-rtde` holds the interpreter meanwhile, and comes back when its own connection says that the
     program plays: what came over ours may still wait to be heard.

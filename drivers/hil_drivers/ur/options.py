@@ -160,7 +160,7 @@ def limits_of(model: str, options: Options, reported: arm.ReportedLimits | None 
 
 
 def require_playable(segment: Segment, limits: Limits, standing: FloatArray) -> None:
-    """Raise if the arm cannot execute a segment, or `ur-rtde` would not let it through.
+    """Raise if the arm cannot execute a segment, or `ur-rtde` would refuse it.
 
     Args:
         segment: The next one.

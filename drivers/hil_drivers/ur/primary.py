@@ -53,11 +53,11 @@ def _first_limits(line: socket.socket, until: float, peer: str) -> ReportedLimit
         if kind != ROBOT_STATE:
             continue
         try:
-            told = limits_in(content)
+            limits = limits_in(content)
         except ValueError as error:
             raise _problem(peer, f"tells {error}") from error
-        if told is not None:
-            return told
+        if limits is not None:
+            return limits
     raise _problem(peer, "has not told its joint limits in time")
 
 
@@ -65,7 +65,7 @@ _PACKET, _PART = struct.Struct(">iB"), struct.Struct(">IB")
 
 
 def _packets(line: socket.socket, until: float, peer: str) -> Iterator[tuple[int, bytes]]:
-    """Type and content of what comes, until it has been too much or too long."""
+    """Yield type and content of packets, up to a number and a time."""
     data, taken = b"", 0
     while taken < MOST_BYTES and (left := until - time.monotonic()) > 0:
         line.settimeout(left)

@@ -145,7 +145,7 @@ class UrRobot:
         After a fault or a lost connection it does so from the beginning.
 
         Raises:
-            RobotConnectionError: Nobody is there, it is another arm, or somebody else moves it.
+            RobotConnectionError: No controller answers, it has another arm, or is in use.
             RobotFault: The arm is not in a state in which it may move, or a program plays.
         """
         alive = self._controller.receiver.alive and self._motion.alive
@@ -165,10 +165,10 @@ class UrRobot:
         self._connected = True
 
     def listen(self) -> None:
-        """Be told, and command nothing; see `hil.robot.Listens`.
+        """Connect for receiving state only; see `hil.robot.Listens`.
 
         Raises:
-            RobotConnectionError: Nobody is there, or it is another arm.
+            RobotConnectionError: No controller answers, or it has another arm.
             SpecError: It does not send what shall be the effort.
         """
         if self._listening and self._controller.receiver.alive:
@@ -187,7 +187,7 @@ class UrRobot:
         return self._newest is not None and bool(program_running(self._newest[-1:])[0])
 
     def set_payload(self, payload: Payload) -> Payload:
-        """Declare a load and wait until the controller says that it believes in it.
+        """Declare a load and wait until the controller reports it.
 
         Raises:
             CommandRefused: It is too heavy, the arm is moving, or it was not accepted.
@@ -271,7 +271,7 @@ class UrRobot:
         Seconds after our program was ended by somebody else, their programs are left alone.
 
         Raises:
-            RobotConnectionError: Nobody could be told.
+            RobotConnectionError: No way to stop the arm was open.
         """
         if not self._connected:
             return
@@ -293,7 +293,7 @@ class UrRobot:
                 stop_program(self._controller.host)
 
     def close(self) -> None:
-        """Stop, end the program, let go of the controller."""
+        """Stop, end the program, disconnect."""
         if self._listening:
             self._let_go()
         if not self._connected:
@@ -306,7 +306,7 @@ class UrRobot:
             self._let_go()
 
     def _look(self, raw: StructArray) -> None:
-        """Find out how the motion stands; the next read raises what is wrong."""
+        """Update the state of the motion; the next read raises a problem."""
         progress, error = None, None
         try:
             progress = None if self._watch.severed else self._motion.look()[0]
@@ -370,7 +370,7 @@ the pendant may start another one then."""
 
 
 class Watch:
-    """Knows how the arm stands, from when it was connected to the first fault.
+    """State of the arm, from connecting to the first fault.
 
     Args:
         options: Of the arm.
@@ -407,7 +407,7 @@ class Watch:
             self._stopped_by = None
 
     def stopping(self, row: Any) -> None:
-        """The arm is told to stop, this being its newest raw row; None when there is none."""
+        """Note that the arm is stopped; with its newest raw row, None if there is none."""
         self.halted = True
         if row is not None:
             speed = float(np.abs(row["target_qd"]).max())
@@ -456,12 +456,12 @@ class Watch:
         return moved and not self.moving
 
     def note(self, problem: HilError | None) -> None:
-        """Note what is wrong; the first one explains."""
+        """Note a problem; the first one counts."""
         if problem is not None and not self.faulty:
             self.problem, self.faulty, self.halted = problem, True, True
 
     def must_not_go_on(self, row: Any) -> bool:
-        """Whether that raw row shows our program held by a stop that somebody may lift."""
+        """Return whether a raw row shows a pause of our program that a person could end."""
         if row is None or not self.faulty or self.gone_at is not None:
             return False
         # For some ticks after a protective stop the program may still be said to play.
@@ -469,7 +469,7 @@ class Watch:
         return bool(held)
 
     def is_for_others(self, row: Any) -> bool:
-        """Whether what moves the arm, if anything does, is not ours to stop any more.
+        """Return whether a motion, if there is one, is another client's.
 
         Shortly after our program has ended it may be that `ur-rtde` has uploaded it again.
         """
@@ -478,7 +478,7 @@ class Watch:
         return float(row["timestamp"]) - self.gone_at > OURS_FOR_S
 
     def stop_has_failed(self, raw: StructArray) -> bool:
-        """Whether the arm still moved when it ought to have come to rest; said once.
+        """Return, once, whether the arm moved when it ought to have been at rest.
 
         What it does later is another's doing.
         """
@@ -498,7 +498,7 @@ class Watch:
 
 
 class Standing:
-    """Knows what the arm was told to do when.
+    """Beginning and end of each segment, by device time.
 
     Segments follow each other: one ends where the next begins. A motion that nobody has seen end
     yet is still going on.

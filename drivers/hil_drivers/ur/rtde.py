@@ -104,7 +104,7 @@ class Receiver:
 
     @property
     def counts(self) -> Counts:
-        """What has come since `open`."""
+        """Counts since `open`."""
         return self._stream.counts if self._stream else Counts()
 
     @property
@@ -114,7 +114,7 @@ class Receiver:
 
     @property
     def age_s(self) -> float:
-        """How long ago the controller's clock was last heard to go on [s].
+        """Time since the controller's clock last advanced [s].
 
         A state that is repeated is no news; infinite when not connected.
         """
@@ -126,7 +126,7 @@ class Receiver:
         return self._stream.newest if self._stream else None
 
     def open(self) -> None:
-        """Connect, agree on what is sent, and start; does nothing while connected.
+        """Connect, agree on the outputs, and start; does nothing while connected.
 
         Raises:
             RobotConnectionError: Nobody there, or no RTDE server, or it refuses; or `close` came
@@ -162,11 +162,11 @@ class Receiver:
                 self._end_stream()
 
     def keep(self, seconds: float | None, *, forgiving: bool = False) -> None:
-        """From now on let go of rows that wait for longer than that, by the robot's clock.
+        """Set the age beyond which waiting rows are dropped, by the robot's clock.
 
         Args:
             seconds: None to lose nothing, as after `open`.
-            forgiving: When `capacity_s` wait nevertheless, let go of the oldest instead of ending.
+            forgiving: When `capacity_s` wait nevertheless, drop the oldest instead of ending.
         """
         if self._stream is not None:
             rate = self.frequency_hz
@@ -186,7 +186,7 @@ class Receiver:
         return self._stream.take(timeout_s)
 
     def close(self) -> None:
-        """End the connection. Idempotent, from any thread; whoever waits in `take` hears of it."""
+        """End the connection; idempotent, for any thread. A waiting `take` raises an error."""
         self._closed.set()
         shaking = self._shaking
         if shaking is not None:
@@ -248,18 +248,18 @@ _LOST = "see to the robot: is it on, is the cable in, was it restarted? then con
 
 
 class Stream:
-    """Rows of a started controller, in a bounded queue; lossless, or an error that says so.
+    """Rows of a started controller, in a bounded queue; without loss, or with an error.
 
     Args:
         line: Connected and started; this object closes it.
         peer: The address, for messages.
-        agreement: What it sends.
+        agreement: With the controller, about its outputs.
         silence_s: Without a data package for so long, the connection counts as lost [s].
         capacity_s: How much waits to be taken at most, by the robot's clock [s].
         texts: Where text messages go; the oldest are forgotten.
 
     Attributes:
-        keep: Rows that wait to be taken at most, older ones being let go; None for all of them.
+        keep: Most rows that wait to be taken, older ones being dropped; None for all.
         forgiving: Whether the oldest rows are let go when the queue is full and nobody takes any;
             else that is the end of the stream.
     """
@@ -293,7 +293,7 @@ class Stream:
 
     @property
     def counts(self) -> Counts:
-        """What has come so far."""
+        """Counts so far."""
         return self._cutter.counts
 
     @property
@@ -303,7 +303,7 @@ class Stream:
 
     @property
     def age_s(self) -> float:
-        """Since the controller's clock was last heard to go on, or since the start [s].
+        """Time since the controller's clock last advanced, or since the start [s].
 
         Packages that repeat one state are no news of the arm.
         """
@@ -357,7 +357,7 @@ class Stream:
                 self._read()
         except OSError as error:
             self._fail((f"broke the connection: {error.strerror or error}", _LOST))
-        except Exception as error:  # nobody would ever hear of it in this thread
+        except Exception as error:  # it would go unnoticed in this thread
             self._fail((f"could not be read: {error!r}", "please report this"))
         finally:
             self._line.close()
@@ -443,7 +443,7 @@ NETWORK = "look at cable and switch; connect the robot directly"
 
 @dataclass(slots=True)
 class Counts:
-    """What has come since the connection was opened.
+    """Counts of rows and packages since the connection was opened.
 
     Attributes:
         packages: Of data.
@@ -463,7 +463,7 @@ class Counts:
 
 
 class Cutter:
-    """Cuts what a socket gives, anywhere it likes, into whole packages.
+    """Cuts the bytes of a socket into whole packages.
 
     Args:
         layout: Of the data packages.
@@ -472,7 +472,7 @@ class Cutter:
     Attributes:
         counts: See `Counts`.
         texts: Text messages since they were last taken away.
-        problem: What is wrong with the stream and how to mend it; nothing is cut after that.
+        problem: Error in the stream, with its remedy; nothing is cut after it.
     """
 
     def __init__(self, layout: Layout, frequency_hz: float) -> None:
@@ -492,7 +492,7 @@ class Cutter:
         """The whole data packages that have come, one after the other.
 
         Args:
-            data: What came.
+            data: Bytes of the socket.
             host_time: When, Unix time [s].
         """
         if self.problem is not None:
@@ -606,7 +606,7 @@ Version = tuple[int, int, int, int]
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """What a controller will send once it is started.
+    """The recipe and rate that a controller has agreed to.
 
     Attributes:
         version: Of its software: major, minor, bug-fix, build.
@@ -628,7 +628,7 @@ class Conversation:
         line: Connected.
         peer: The address, for messages.
         step_s: How long an answer may take [s].
-        heard: Is told every text message.
+        heard: Called with every text message.
     """
 
     def __init__(
@@ -668,7 +668,7 @@ class Conversation:
         return Agreement(version, rate, layout, missing)
 
     def start(self) -> None:
-        """Let the data packages come.
+        """Let the controller send data packages.
 
         Raises:
             RobotConnectionError: The controller refuses, or does not answer.
@@ -689,7 +689,7 @@ class Conversation:
         return major, minor, bugfix, build
 
     def _outputs(self, wanted: list[str], rate: float, missing: dict[str, str]) -> Layout:
-        """Ask until every name that is left is known; what is not goes to `missing`."""
+        """Ask until the controller has all remaining names; the others go to `missing`."""
         for _ in range(ROUNDS):
             question = _FREQUENCY.pack(rate) + ",".join(wanted).encode()
             answer = self._ask(Kind.OUTPUTS, question, "the list of outputs")
@@ -786,7 +786,7 @@ _TIME = struct.Struct(">d")
 
 
 class Kind(IntEnum):
-    """What a package is."""
+    """The kind of a package."""
 
     VERSION = ord("V")
     CONTROLLER = ord("v")
@@ -808,7 +808,7 @@ def package(kind: Kind, content: bytes = b"") -> bytes:
 
 @dataclass(frozen=True, slots=True)
 class TextMessage:
-    """What a controller says in words.
+    """A text message of the controller.
 
     Attributes:
         text, source: As sent.
@@ -904,7 +904,7 @@ class Layout:
         return count if good.all() else int(np.argmin(good))
 
     def is_head(self, data: bytes, begin: int) -> bool:
-        """Whether a data package of this recipe begins here."""
+        """Return whether a data package of this recipe begins here."""
         return int.from_bytes(data[begin : begin + 4], "big") == self.head
 
     def time(self, package: bytes) -> float:

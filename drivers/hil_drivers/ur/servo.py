@@ -109,7 +109,7 @@ class MotionThread(threading.Thread):
                 self._tick(self.state.newest)
 
     def start_move(self, segment: Segment) -> None:
-        """Let the controller move to a segment's end, by its own plan.
+        """Let the controller move to a segment's end on a path of its own.
 
         Raises:
             CommandRefused: It would never get there, or has not accepted that.
@@ -219,7 +219,7 @@ class MotionThread(threading.Thread):
             self._using.release()
 
     def _act(self, row: np.void) -> None:
-        """Do what a row calls for."""
+        """React to a row."""
         state = self.state
         if state.stop_asked.is_set() and state.under_way:
             self._brake(row)
@@ -287,7 +287,7 @@ class MotionThread(threading.Thread):
             raise _ended_elsewhere(far)
 
     def _brake(self, row: np.void) -> None:
-        """End a motion; returns when the arm stands. Supervision sees how it obeys."""
+        """End a motion and return once the arm is at rest, which supervision decides."""
         if time.monotonic() - self.state.heard > FRESH_S:
             return  # the line is silent: supervision takes another way
         begun = self.state.brake(row)
@@ -369,7 +369,7 @@ class SetPointFeed:
         return self.place >= len(self._q) - 1 - TINY
 
     def due(self, device_time: float) -> FloatArray:
-        """(n,) what to command now that the robot says which time it is [rad]."""
+        """Return (n,) the set-point for the robot's present time [rad]."""
         schedule = min((device_time - self._begun) * self._rate_hz, len(self._q) - 1.0)
         behind = max(schedule - self.place, 0.0)
         ticks = (device_time - self._last_tick) * self._rate_hz
@@ -385,7 +385,7 @@ class SetPointFeed:
 
 
 class LagWatch:
-    """Compares where the controller wants the arm with what it was commanded lately.
+    """Compares the controller's target with the set-points commanded lately.
 
     `servoj` smooths and follows late, so a plain difference grows with speed. What has to hold at
     any speed: every joint's target lies between the least and the most it was commanded within the
@@ -421,7 +421,7 @@ class LagWatch:
 
 
 class Phase(Enum):
-    """What the arm is doing."""
+    """Phase of a motion."""
 
     IDLE = auto()
     STARTING = auto()
@@ -439,7 +439,7 @@ UNDER_WAY = (Phase.MOVE, Phase.LED, Phase.SETTLING)
 
 
 class MotionState:
-    """What the arm is doing, as both threads know it; only one of them may change that at a time.
+    """Phase of the arm, shared by both threads; one of them at a time may change it.
 
     Args:
         newest: The newest row.
@@ -468,7 +468,7 @@ class MotionState:
 
     @property
     def under_way(self) -> bool:
-        """Whether it does what a stop ends."""
+        """Whether a stop would end the present phase."""
         return self.phase in UNDER_WAY
 
     def clear(self) -> None:
@@ -485,7 +485,7 @@ class MotionState:
             return True
 
     def rest(self) -> None:
-        """The arm stands, so a stop that is waited for is obeyed."""
+        """Note that the arm is at rest, which ends a stop."""
         with self._turning:
             self.phase = Phase.IDLE
         self.stop_obeyed.set()
@@ -501,7 +501,7 @@ class MotionState:
             return self.ramp, led
 
     def fail(self, error: HilError) -> None:
-        """Note what went wrong first."""
+        """Note an error; the first one counts."""
         self.failure = self.failure or error
 
 
@@ -513,7 +513,7 @@ HARDEST_M_S2 = 150.0
 
 
 class Ramp:
-    """What is known of one stop from when it is asked for until the arm stands.
+    """One stop, from the request until the arm is at rest.
 
     The watchdog cannot be fed while the controller executes a stop: `ur-rtde` keeps the command
     in the register that counts as food, and writing there would take it back. So a ramp has to
@@ -543,17 +543,17 @@ class Ramp:
         self.answered = False
 
     def falls(self, row: np.void) -> bool:
-        """Whether the controller commands less speed than before: it has begun to obey."""
+        """Whether the controller commands less speed than before: it has begun to stop."""
         fastest = _fastest(row)
         self._most = max(self._most, fastest)
         return fastest < self._most - STILL_RAD_S
 
     def stands(self, row: np.void) -> bool:
-        """Whether the arm has come to rest, rather than not having begun to move."""
+        """Return whether the arm has come to rest, and has not merely not begun to move."""
         return self.answered and still(row)
 
     def overdue(self, row: np.void) -> bool:
-        """Whether the arm should stand by now, and does not; said once."""
+        """Return, once, whether the arm should be at rest by now and is not."""
         if float(row["timestamp"]) <= self._until:
             return False
         self._until = np.inf
@@ -593,14 +593,14 @@ class Ticks(Protocol):
 
     @property
     def age_s(self) -> float:
-        """How long ago the controller's clock was last heard to go on [s]."""
+        """Time since the controller's clock last advanced [s]."""
 
     def take(self, timeout_s: float) -> StructArray:
         """All rows since the last call, at least one; raises `RobotTimeout`."""
 
 
 class SupervisionThread(threading.Thread):
-    """Judges silence, the end of the program, and whether a stop is obeyed.
+    """Supervises silence, the end of the program, and stops.
 
     `ur-rtde` connects again by itself as soon as its own connection ends: it stops the program,
     uploads it once more without a watchdog, and repeats the command it was about to give. From
@@ -707,7 +707,7 @@ class SupervisionThread(threading.Thread):
             )
 
     def _program_ended(self, row: np.void) -> None:
-        """A program that is only paused would go on with its old move once it is let."""
+        """Give up after the program has ended; a paused one would go on with its old move."""
         at = f"at device time {float(row['timestamp']):.3f} s"
         self.leave(
             RobotFault(

@@ -63,7 +63,7 @@ _FURTHER = tuple(field for field in FIELDS if field.name not in _ELSEWHERE)
 
 
 def further_topic(rate_hz: float) -> Topic:
-    """What RTDE tells beyond the base record; the same for all controllers.
+    """Return the topic of RTDE outputs beyond the base record; the same for all controllers.
 
     Args:
         rate_hz: States per second [Hz].
@@ -158,12 +158,12 @@ def further_rows(raw: StructArray, topic: Topic) -> StructArray:
 
 
 def program_running(raw: StructArray) -> BoolArray:
-    """(N,) whether a program plays or is paused; false where the controller does not say."""
+    """Return (N,) whether a program plays or is paused; false where the controller lacks that."""
     return np.asarray(~np.isin(program_state(raw), (STOPPING, STOPPED)))
 
 
 def program_state(raw: StructArray) -> IntArray:
-    """(N,) `runtime_state`; stopped where the controller does not say."""
+    """Return (N,) `runtime_state`; stopped where the controller lacks that."""
     return integers(raw, "runtime_state", STOPPED)
 
 
@@ -240,15 +240,15 @@ SLIDER = "target_speed_fraction"
 
 
 def complaints(row: np.void) -> list[tuple[str, str]]:
-    """What keeps an arm from moving, by one raw RTDE row; each with what to do, said once."""
-    said = []
+    """Return what keeps an arm from moving, by one raw RTDE row; each with its remedy."""
+    problems = []
     safety, mode = _number(row, "safety_mode", 1), _number(row, "robot_mode", RUNNING)
     if safety not in HARMLESS:
-        said.append(SAFETY.get(safety, (f"safety mode {safety}", "see the teach pendant")))
+        problems.append(SAFETY.get(safety, (f"safety mode {safety}", "see the teach pendant")))
     if mode != RUNNING:
         what, remedy = MODES.get(mode, (f"in robot mode {mode}", "see the teach pendant"))
-        said.append((f"the arm is {what}", "" if safety in EMERGENCY else remedy))
-    return said
+        problems.append((f"the arm is {what}", "" if safety in EMERGENCY else remedy))
+    return problems
 
 
 def _number(row: np.void, name: str, default: int) -> int:
@@ -273,18 +273,18 @@ def speed_complaint(row: np.void) -> list[tuple[str, str]]:
 
 
 def occupied(row: np.void) -> list[tuple[str, str]]:
-    """What somebody else does with an arm that we have not begun to move; each with what to do."""
-    said = []
+    """Return what another client does with an arm, by one raw row; each with its remedy."""
+    problems = []
     state = _number(row, "runtime_state", STOPPED)
     if state == STOPPING:
-        said.append(("a program is about to end", "wait until it has"))
+        problems.append(("a program is about to end", "wait until it has"))
     elif state != STOPPED:
         what = "a program is paused" if state in (PAUSING, PAUSED) else "a program is running"
-        said.append((what, "stop it at the teach pendant, or whoever else drives the arm"))
+        problems.append((what, "stop it at the teach pendant, or whoever else drives the arm"))
     speed = float(np.abs(row["target_qd"]).max()) if _has(row, "target_qd") else 0.0
     if speed > STILL_RAD_S:
-        said.append((f"the arm is moving at {speed:.3f} rad/s", "wait until it stands still"))
-    return said
+        problems.append((f"the arm is moving at {speed:.3f} rad/s", "wait until it stands still"))
+    return problems
 
 
 def first_fault(raw: StructArray, *, program: bool) -> RobotFault | None:
@@ -306,15 +306,17 @@ def first_fault(raw: StructArray, *, program: bool) -> RobotFault | None:
 
 
 def fault_of(row: np.void, *, program: bool) -> RobotFault | None:
-    """Why an arm that ought to obey does not, by one raw RTDE row; None while it does.
+    """Return the fault of an arm under command, by one raw RTDE row; None if there is none.
 
     Args:
         row: Of `Receiver.take`.
         program: Whether our robot program ought to play.
     """
     at = f"at device time {float(row['timestamp']):.3f} s"
-    if said := complaints(row):
-        return RobotFault(f"{'; '.join(what for what, _ in said)} {at}", hint=remedies(said))
+    if problems := complaints(row):
+        return RobotFault(
+            f"{'; '.join(what for what, _ in problems)} {at}", hint=remedies(problems)
+        )
     state = _number(row, "runtime_state", PLAYING)
     if program and state != PLAYING:
         return RobotFault(
@@ -325,5 +327,5 @@ def fault_of(row: np.void, *, program: bool) -> RobotFault | None:
 
 
 def remedies(said: list[tuple[str, str]]) -> str:
-    """What to do about everything that was said, nothing twice."""
+    """Return the remedies of all findings, each once."""
     return "; ".join(dict.fromkeys(do for _, do in said if do))

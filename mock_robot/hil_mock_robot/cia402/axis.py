@@ -38,7 +38,7 @@ SCALING = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class Joint:
-    """What a drive knows of the joint it turns, beside its objects.
+    """Properties of the joint of a drive, beside its objects.
 
     Attributes:
         name: For messages.
@@ -83,12 +83,12 @@ class Axis:
         slipped: Increments that the set-point has jumped away from the joint (injected).
         limited: A set-point was cut to what is allowed, in the last block.
         missed: SYNCs since the last RPDO with a set-point, where RPDOs bring them.
-        rhythm_told: A client has written 60C2h since the last reset.
+        rhythm_set: Whether a client has written 60C2h since the last reset.
     """
 
     __slots__ = (
         "counts", "current_counts", "demand_q", "demand_qd", "joint", "limited", "missed",
-        "q", "qd", "registers", "rhythm_told", "shift", "slipped", "speed_counts", "torque_counts",
+        "q", "qd", "registers", "rhythm_set", "shift", "slipped", "speed_counts", "torque_counts",
     )  # fmt: skip
 
     def __init__(self, registers: Registers, joint: Joint) -> None:
@@ -96,11 +96,11 @@ class Axis:
         self.q = self.qd = self.demand_q = self.demand_qd = 0.0
         self.shift = self.slipped = 0
         self.missed = 0
-        self.limited = self.rhythm_told = False
+        self.limited = self.rhythm_set = False
         self.rescale()
 
     def rescale(self) -> None:
-        """Take over what the scaling objects say."""
+        """Update from the scaling objects."""
         objects = self.registers
         polarity = objects.get(keys.POLARITY, 0)
         encoder = objects[keys.ENCODER_INCREMENTS] / objects[keys.ENCODER_REVOLUTIONS]
@@ -168,7 +168,7 @@ class Axis:
         """
         objects = self.registers
         micros = objects[keys.CYCLE_PERIOD]
-        if micros and not self.rhythm_told:
+        if micros and not self.rhythm_set:
             seconds = micros * 1e-6
         else:
             power = POWERS.get(objects[keys.INTERPOLATION_INDEX], 0.0)
@@ -388,8 +388,8 @@ def hermite(steps: int) -> FloatArray:
     return basis.reshape(3 * steps, 3)
 
 
-def held(q: float, steps: int) -> FloatArray:
-    """(N, 3) at rest at `q` [rad]."""
+def rows_at_rest(q: float, steps: int) -> FloatArray:
+    """Return (N, 3) set-points at rest at `q` [rad]."""
     rows = np.zeros((steps, 3))
     rows[:, 0] = q
     return rows

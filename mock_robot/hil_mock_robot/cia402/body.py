@@ -74,10 +74,10 @@ class Measured(NamedTuple):
 
 
 class Body:
-    """One drawn arm on its brakes, until drives say otherwise.
+    """One drawn arm, on its brakes until drives release them.
 
     Args:
-        truth: What it is really like.
+        truth: Its true parameters.
         q: (n,) where it stands when it is switched on [rad].
         gravity: In the base frame [m/s²].
         substep_hz: Integration steps per second.
@@ -85,7 +85,7 @@ class Body:
         temperature_c: Of the joints at the start; the room's when None.
 
     Attributes:
-        arm: What is published about it.
+        arm: Its published description.
         seen: What the axes measured last, from the start on.
         faults: By axis, the EMCY codes that the last block of steps has brought.
         mounted: What hangs at the flange.
@@ -129,7 +129,7 @@ class Body:
         return self._plant.position
 
     def advance(self, demands: Sequence[Demand]) -> list[Measured]:
-        """Let the arm do what its axes demand, each for the same number of steps."""
+        """Follow the demands of the axes, each for the same number of steps."""
         self.faults = {}
         rows = self._rows(demands)
         steps = len(rows)
@@ -138,7 +138,7 @@ class Body:
         return self.seen
 
     def mount(self, payload: Payload) -> None:
-        """Hang something to the flange; closed brakes carry it, servos have to find its weight."""
+        """Mount a load; closed brakes carry it, servos have to find its weight."""
         self.mounted = payload
         self._plant.set_payloads(payload, Payload())
         if self._standing:
@@ -153,7 +153,7 @@ class Body:
         self._plant.joints.states["celsius"][axis] = celsius
 
     def _rows(self, demands: Sequence[Demand]) -> FloatArray:
-        """(N, 3, n) what the plant follows; brakes, torques and limits are set on the way."""
+        """Return (N, 3, n) set-points of the plant; brakes, torques and limits are set as well."""
         steps = len(demands[0].setpoints)
         rows = np.empty((steps, 3, len(demands)))
         for j, demand in enumerate(demands):
@@ -172,7 +172,7 @@ class Body:
         return rows
 
     def _drive(self, j: int, demand: Demand) -> None:
-        """Let a drive have its axis."""
+        """Let a drive control its axis."""
         plant = self._plant
         limit = min(demand.limit, self._efforts[j])
         if limit != self._limits[j]:
@@ -228,7 +228,7 @@ class Body:
         return self._plant.stand(1)
 
     def _measure(self, samples: Samples) -> list[Measured]:
-        """What the axes report at the end of a block; brakes need no current."""
+        """Return the measurements at the end of a block; closed brakes need no current."""
         last = samples.values[-1:]
         q, qd, current, celsius = (last[:, channel] for channel in range(4))
         seen = self._sensors.measure(q, qd, current, celsius)
@@ -272,7 +272,7 @@ class Brake:
         return self.closed and self._qd == 0.0
 
     def close(self, held: float, q: float, qd: float) -> None:
-        """Take a joint at `q`, `qd`; one at rest is kept where its drive held it [rad], [rad/s]."""
+        """Close on a joint at `q`, `qd`; at rest it stays at its set-point [rad], [rad/s]."""
         self.closed = True
         slow = abs(qd) < AT_REST_RAD_S
         self._q, self._qd = (held, 0.0) if slow else (q, qd)
@@ -305,7 +305,7 @@ NEARLY = 0.99
 
 
 class PlainServoArm(Simulation):
-    """A `Simulation` whose joints go their own ways: each with its torque, its limit, its faults.
+    """A `Simulation` with independent joints: each has its torque, its limit, its faults.
 
     Attributes:
         faults: By joint, the EMCY codes that the last rows have brought.
@@ -322,7 +322,7 @@ class PlainServoArm(Simulation):
         self.joints.states["integral"][joint] = torque
 
     def limit(self, joint: int, torque: float) -> None:
-        """Let a drive give no more than this [N·m]."""
+        """Limit the torque of a drive [N·m]."""
         self.joints.servos["limit"][joint] = torque
 
     def take(self, joint: int) -> None:
@@ -335,7 +335,7 @@ class PlainServoArm(Simulation):
         return float(self.plant.data.qfrc_bias[joint])
 
     def carry(self) -> None:
-        """Let every integrator begin with what its joint has to carry where the arm stands."""
+        """Set every integrator to the gravity torque of its joint."""
         mujoco.mj_forward(self.plant.model, self.plant.data)
         self.joints.states["integral"] = self.plant.data.qfrc_bias
 
@@ -409,7 +409,7 @@ class PlainServoArm(Simulation):
         return joints
 
     def _attach(self) -> None:
-        """What the drives believe to turn: rotors without an arm, anywhere but in gravity."""
+        """Make the drives' model: rotors without an arm and without gravity."""
         believed = self._nominal.model
         believed.opt.gravity[:] = 0.0
         believed.body_mass[:] = 0.0

@@ -91,7 +91,7 @@ class BusEnd(Protocol):
         """See that all which was sent goes now: what follows takes long."""
 
     def serve(self, timeout_s: float, others: Sequence[Readable] = ()) -> bool:
-        """Hear what has come; waits so long for it, or until one of `others` has something.
+        """Handle frames; wait for one so long, or until one of `others` is readable.
 
         Returns whether one of them has.
 
@@ -103,14 +103,14 @@ class BusEnd(Protocol):
         """Put everybody else who is there now off the bus."""
 
     def recover(self) -> None:
-        """Let them back."""
+        """Let the drives back onto the bus."""
 
     def close(self) -> None:
-        """Leave."""
+        """Leave the bus."""
 
 
 def ignored(can_id: int, data: bytes, now_s: float) -> None:
-    """Nobody listens yet."""
+    """Ignore a frame; the default of `heard`."""
 
 
 class HubEnd:
@@ -279,7 +279,7 @@ Refusal = Callable[[int, int, int], int]
 
 
 class Line:
-    """What is between one drive and the bus.
+    """The connection between one drive and the bus.
 
     Args:
         node_id: Of the drive.
@@ -289,7 +289,7 @@ class Line:
         sound: Whether nothing is wrong: frames pass as they are.
         cuts: Why nothing passes, either way.
         mute: Its heartbeats are lost.
-        refusals: What is said to SDO requests before the drive hears of them.
+        refusals: Answers to SDO requests that do not reach the drive.
         unheard: SDO requests are lost.
         late_steps: How late TPDOs come, in steps of device time.
         owed: `lost_frames` or `wrong_length` → how many of the next TPDOs suffer from it.
@@ -326,7 +326,7 @@ class Line:
             self._put(can_id, data)
 
     def passes(self, can_id: int, data: bytes) -> bool:
-        """Whether the drive hears a frame of the bus; a refusal is sent in its place."""
+        """Return whether the drive gets a frame of the bus; a refusal is sent in its place."""
         if self.sound:
             return True
         if self.cuts:
@@ -340,7 +340,7 @@ class Line:
         self._steps += steps
 
     def release(self) -> None:
-        """Send what was held back and is due."""
+        """Send delayed frames that are due."""
         while self._held and self._held[0][0] <= self._steps:
             _, can_id, data = self._held.popleft()
             if not self.cuts:
@@ -373,7 +373,7 @@ class Line:
 
 
 def refused_mapping(command: int, index: int, sub: int) -> int:
-    """A drive whose process data is laid out for good."""
+    """Refuse writes to the mapping, as a drive with fixed process data does."""
     laid_out = 0x1600 <= index <= 0x17FF or 0x1A00 <= index <= 0x1BFF
     return NOT_MAPPABLE if command == DOWNLOAD and laid_out and sub else 0
 

@@ -40,13 +40,13 @@ class Object:
         default: After a reset, unless the axis has a value of its own.
         mappable: Whether a PDO may carry it.
         low, high: Range of what may be written; the type's own without.
-        choices: What may be written, where it is not a range.
+        choices: Permitted values, where they are not a range.
         unit: As in the standard's texts; empty where there is none.
         locked: It cannot be written while the drive works.
-        kept: A reset does not change it: it is a fact of the machine, not a setting.
+        stays: Whether a reset leaves it: it is a fact of the machine, not a setting.
         per_axis: The default stands for a value that depends on the axis.
         node_relative: The node's id is added to the default.
-        note: What is not said by the name.
+        note: Remark beyond the name.
     """
 
     index: int
@@ -61,7 +61,7 @@ class Object:
     choices: tuple[int, ...] = ()
     unit: str = ""
     locked: bool = False
-    kept: bool = False
+    stays: bool = False
     per_axis: bool = False
     node_relative: bool = False
     note: str = ""
@@ -83,7 +83,7 @@ class Object:
 
     @property
     def packing(self) -> struct.Struct:
-        """Packs what is kept in `Registers`."""
+        """Format of its value in `Registers` for `struct`."""
         return struct.Struct("<" + CODES[self.type])
 
     @property
@@ -307,15 +307,24 @@ _PAYLOAD = group(
     0x2100,
     "Payload",
     [
-        Object(0, 1, "Mass", "f32", low=0, high=100, unit="kg", kept=True),
+        Object(0, 1, "Mass", "f32", low=0, high=100, unit="kg", stays=True),
         *(
-            Object(0, sub, f"Centre of mass {axis}", "f32", low=-2, high=2, unit="m", kept=True)
+            Object(
+                0,
+                sub,
+                f"Centre of mass {axis}",
+                "f32",
+                low=-2,
+                high=2,
+                unit="m",
+                stays=True,
+            )
             for sub, axis in ((2, "x"), (3, "y"), (4, "z"))
         ),
     ],
 )
 
-_measured = partial(Object, access="ro", mappable=True, kept=True)
+_measured = partial(Object, access="ro", mappable=True, stays=True)
 
 VENDOR: tuple[Object | Group, ...] = (
     _PAYLOAD,
@@ -518,7 +527,7 @@ def registers_of(arm: ArmDescription, joint: int) -> Registers:
 
 
 def _axis(arm: ArmDescription, joint: int) -> Registers:
-    """What depends on the joint."""
+    """Return the values that depend on the joint."""
     scale = increments_per_rad(arm, joint)
     gear = float(arm.gear_ratio[joint])
     rated_nm = float(arm.effort_max[joint]) / gear / PEAK_TO_RATED
@@ -547,7 +556,7 @@ def _axis(arm: ArmDescription, joint: int) -> Registers:
 
 
 def raw_of(entry: Object, value: object) -> int:
-    """What `Registers` keeps for a number."""
+    """Return the value in `Registers` for a number."""
     assert isinstance(value, int | float)
     return raw_real(value) if entry.type == "f32" else int(value)
 
@@ -573,7 +582,7 @@ BIT_RATES = (125_000, 250_000, 500_000, 1_000_000)
 
 
 def object_dictionary(node_id: int, registers: Registers) -> canopen.ObjectDictionary:
-    """The dictionary of one drive; defaults are what is in the registers now.
+    """Return the dictionary of one drive; its defaults are the present registers.
 
     Args:
         node_id: 1 to 127.

@@ -66,10 +66,10 @@ class Drive:
 
     @property
     def period_s(self) -> float:
-        """Time from SYNC to SYNC as a client has told it (60C2h, 1006h); 0 where none has."""
+        """Time from SYNC to SYNC as a client has set it (60C2h, 1006h); 0 if none has [s]."""
         axis = self._axis
-        told = axis.rhythm_told or self.registers[keys.CYCLE_PERIOD]
-        return axis.period_steps * STEP_S if told else 0.0
+        is_set = axis.rhythm_set or self.registers[keys.CYCLE_PERIOD]
+        return axis.period_steps * STEP_S if is_set else 0.0
 
     @property
     def state(self) -> State:
@@ -80,7 +80,7 @@ class Drive:
         """Switched off and on: the brake closes, faults are forgotten; NMT reset node."""
         axis = self._axis
         axis.shift = axis.slipped = 0
-        axis.rhythm_told = False
+        axis.rhythm_set = False
         axis.rescale()
         axis.stay()
         self.operation.reset()
@@ -95,7 +95,7 @@ class Drive:
         if where in SCALING and not self._power.powered:
             self._axis.rescale()
         if where in RHYTHM:
-            self._axis.rhythm_told = True
+            self._axis.rhythm_set = True
         self.obey()
         self._tell()
 
@@ -116,7 +116,7 @@ class Drive:
             self.operation.listen()
 
     def advance(self, steps: int, *, synced: bool = True, missed: int = 0) -> Demand:
-        """What the axis asks of its motor for the next steps of `STEP_S`.
+        """Return the demand on the motor for the next steps of `STEP_S`.
 
         Args:
             steps: At least 1.
@@ -139,7 +139,7 @@ class Drive:
         return power.without(steps)
 
     def measured(self, measured: Measured, steps: int = 0) -> None:
-        """Take what was measured after those steps (0: when it is switched on) to the registers."""
+        """Write measurements after those steps (0: at switching on) to the registers."""
         axis, power = self._axis, self._power
         axis.q, axis.qd = measured.q, measured.qd
         stopping, powered = power.stop is not None, power.powered
@@ -207,9 +207,9 @@ class Drive:
         power = self._power
         bits = 0
         if power.stop is None and power.halt is None and power.state is ENABLED:
-            bits = self.operation.told
-        told = power.told | self._watch.told | bits
-        self.registers[keys.STATUSWORD] = told | INTERNAL_LIMIT * self._limited
+            bits = self.operation.status_bits
+        status = power.status_bits | self._watch.status_bits | bits
+        self.registers[keys.STATUSWORD] = status | INTERNAL_LIMIT * self._limited
 
 
 WARM_C, HOT_C = 80.0, 110.0
@@ -236,7 +236,7 @@ class Watch:
         self._away = 0
 
     @property
-    def told(self) -> int:
+    def status_bits(self) -> int:
         """Bits 7 and 13 of the statusword."""
         return WARNING * self.warns | MODE_BIT_13 * self.too_far
 
@@ -257,7 +257,7 @@ class Watch:
         self.warns, self.hot = celsius >= WARM_C, celsius >= HOT_C
 
     def look(self, error: int, measured: Measured, steps: int) -> int:
-        """EMCY code of what is wrong with an axis that has power, or 0.
+        """Return the EMCY code of an axis with power, or 0.
 
         Args:
             error: Following error [increments]; 0 where it does not matter.

@@ -28,11 +28,11 @@ class MasterEnd(Protocol):
         """Put everybody who is on the bus now, but the drives, off it."""
 
     def recover(self) -> None:
-        """Let them back."""
+        """Let the drives back onto the bus."""
 
 
 class Target(NamedTuple):
-    """What faults act on."""
+    """The parts of the mock that faults act on."""
 
     station: Station
     master: MasterEnd
@@ -77,7 +77,7 @@ class CanFault(Fault[Target], counted=("motion",), example="{kind: heartbeat_los
             unit.line.look()
 
     def strike(self, unit: Unit, station: Station) -> None:
-        """Let it strike one drive."""
+        """Begin the fault in one drive."""
 
     def heal(self, unit: Unit) -> None:
         """One drive has it no longer."""
@@ -148,7 +148,7 @@ class RefusedMode(CanFault, kind="refused_mode", lasts=True):
 
 
 class Bit12Low(CanFault, kind="bit12_low", lasts=True):
-    """The drive ignores its set-points, and says so by bit 12 of the statusword."""
+    """The drive ignores its set-points and shows that by bit 12 of the statusword."""
 
     def strike(self, unit: Unit, station: Station) -> None:
         unit.drive.operation.deaf = True

@@ -24,7 +24,7 @@ class Witness(journal.Witness):
     """Writes the journal.
 
     Args:
-        station: What it looks at.
+        station: Whose journal it is.
         motions: Of the arm.
         journal: Where it is written.
     """
@@ -46,25 +46,25 @@ class Witness(journal.Witness):
         self.note("fault" if begins else "fault_over", kind=fault.kind, axis=axis)
 
     def happened(self, event: str, details: dict[str, int | float | str]) -> None:
-        """The drives tell something."""
-        told: dict[str, Any] = dict(details)
+        """Note an event of the drives."""
+        noted: dict[str, Any] = dict(details)
         if event in HEXADECIMAL:
-            told["code"] = f"{int(details['code']):04X}"
-        self.note(event, **told)
+            noted["code"] = f"{int(details['code']):04X}"
+        self.note(event, **noted)
 
     def moved(self, begins: bool) -> None:
         """A motion begins or ends."""
         marker = self._station.marker
-        told = {"segment": marker.segment} if marker.known else {}
+        segment = {"segment": marker.segment} if marker.known else {}
         if begins:
             self._rest.moved()
-            self.note("start", **told)
+            self.note("start", **segment)
         else:
-            self.note("motion_over", **told)
+            self.note("motion_over", **segment)
             self._rest.stopped("motion_over", self.moment())
 
     def passed(self, steps: int) -> None:
-        """Steps have passed: what did the drives do, and is the arm at rest?"""
+        """Note changes of state during the last steps, and whether the arm is at rest."""
         states = [axis.drive.state for axis in self._station.axes]
         if states != self._states:
             before, self._states = self._states, states
@@ -77,8 +77,8 @@ class Witness(journal.Witness):
     def _changed(self, before: list[State], after: list[State]) -> None:
         changes: dict[tuple[str, str], list[int]] = {}
         for axis, old, new in zip(self._station.axes, before, after, strict=True):
-            if told := _told(old, new, axis.registers[keys.CONTROLWORD]):
-                changes.setdefault(told, []).append(axis.number + 1)
+            if event_and_cause := _event_of(old, new, axis.registers[keys.CONTROLWORD]):
+                changes.setdefault(event_and_cause, []).append(axis.number + 1)
         for (event, by), axes in changes.items():
             if event == "stop":
                 self.note(event, by=by, axes=axes, moving=self._motions.moving)
@@ -87,8 +87,8 @@ class Witness(journal.Witness):
                 self.note(event, axes=axes)
 
 
-def _told(old: State, new: State, controlword: int) -> tuple[str, str] | None:
-    """What a change of state is called, and what it was for; None where it is no news."""
+def _event_of(old: State, new: State, controlword: int) -> tuple[str, str] | None:
+    """Return event and cause of a change of state; None if it is not journalled."""
     if old is new:
         return None
     if new is ENABLED:

@@ -73,8 +73,8 @@ def main(arguments: Sequence[str] | None = None, *, prog: str = "", seed: int = 
 
     Args:
         arguments: Of the command line, by default this process's.
-        prog: What it was started as, for its help.
-        seed: Which individual when nobody says.
+        prog: Command by which it was started, for its help.
+        seed: Default individual.
     """
     given = parser_of(prog, seed).parse_args(arguments)
     do = _tell if given.command == "tell" else _write_eds if given.eds else _run
@@ -165,17 +165,17 @@ def _wire(given: argparse.Namespace) -> str:
 
 
 class Mock:
-    """Drives on a bus, with what goes wrong and who writes it down.
+    """Drives on a bus, with faults, journal and side channel.
 
     Args:
         truth: What the arm is really like.
         end: Of the bus.
         nodes: Node id of each axis; 1, 2 … when empty.
         start_q_deg: Where the arm stands at first; zeros when empty.
-        mounted: What really hangs at the flange; what is declared when None.
+        mounted: Load that really hangs at the flange; the declared one when None.
         master_id: Node id under which the master announces what it does.
         patience_s: Wall time without SYNC after which the drives go by their own timer.
-        faults: What is to go wrong.
+        faults: Planned faults.
         journal: File for what happens.
         side: Socket of the side channel.
 
@@ -255,11 +255,11 @@ def nodes_of(given: Sequence[int], arm: ArmDescription, master_id: int) -> tuple
 
 
 class CanRequests(Requests):
-    """What may be asked of the drives, past the bus.
+    """Requests to the drives by the side channel.
 
     Args:
         station: The drives.
-        faults: What is wrong with them.
+        faults: Of the mock.
     """
 
     def __init__(self, station: Station, faults: Faults[Target]) -> None:
@@ -420,7 +420,7 @@ class HostedMock:
         return self.ask(lambda mock: mock.requests.answer({"do": do, **more}) or {})
 
     def ask(self, question: Callable[[Mock], T]) -> T:
-        """What the mock's own thread finds, between two frames; what it raises is raised here."""
+        """Return the answer of the mock's own thread, between two frames; raise its errors here."""
         done = threading.Event()
         found: list[T] = []
         raised: list[Exception] = []
@@ -441,7 +441,7 @@ class HostedMock:
         return found[0]
 
     def close(self) -> None:
-        """End it; raises what it stumbled over."""
+        """End the mock; raise the error that ended it, if one did."""
         self._mock.loop.end()
         self._thread.join(ANSWER_S)
         if self._mishap is not None:

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from hil_mock_robot.cia402 import keys
-from hil_mock_robot.cia402.axis import Axis, Between, Ramp, Trapezoid, held
+from hil_mock_robot.cia402.axis import Axis, Between, Ramp, Trapezoid, rows_at_rest
 from hil_mock_robot.cia402.body import STEP_S, Demand
 from hil_mock_robot.cia402.power import (
     AT_ONCE_BIT,
@@ -37,7 +37,7 @@ MODE_BITS = {PP: 0, HM: 5, CSP: 7, CSV: 8, CST: 9}
 
 
 class Operation:
-    """What an axis does while it is enabled.
+    """The operation of an axis while it is enabled.
 
     Args:
         axis: Whose.
@@ -54,7 +54,7 @@ class Operation:
         self.reset()
 
     def reset(self) -> None:
-        """No mode."""
+        """Leave the mode."""
         self._shown = self._axis.registers[keys.MODE_DISPLAY] = 0
         self._mode: Mode = mode_of(0, self._axis)
 
@@ -74,7 +74,7 @@ class Operation:
         return self._shown == CST
 
     @property
-    def told(self) -> int:
+    def status_bits(self) -> int:
         """Bits 10, 12 and 13 of the statusword while the axis is enabled."""
         return self._mode.bits & ~(MODE_BIT_12 * self.deaf)
 
@@ -116,10 +116,10 @@ NAN = math.nan
 
 
 class Mode(Protocol):
-    """What an enabled axis does in one mode; built anew when the mode or the state is entered."""
+    """One mode of an enabled axis; built anew when the mode or the state is entered."""
 
     def advance(self, steps: int, synced: bool, deaf: bool) -> Demand:
-        """What it asks for during the next steps; `axis.demand_q` and `demand_qd` follow.
+        """Return the demand of the next steps; `axis.demand_q` and `demand_qd` follow.
 
         Args:
             steps: Of `STEP_S`.
@@ -189,7 +189,7 @@ class CyclicPosition(Mode):
 
 
 class CyclicVelocity(Mode):
-    """CSV: velocity 60FFh + 60B1h, reached at the next SYNC; the position that follows is held."""
+    """CSV: velocity 60FFh + 60B1h, reached at the next SYNC; the position follows it."""
 
     bits = MODE_BIT_12
 
@@ -209,7 +209,7 @@ class CyclicVelocity(Mode):
             self._wanted, self._left = self._allowed(raw / axis.speed_counts), axis.period_steps
         elif not self._left:
             self._wanted = 0.0
-        rows = held(axis.demand_q, steps)
+        rows = rows_at_rest(axis.demand_q, steps)
         for row in rows:
             before = axis.demand_qd
             if self._left:
@@ -258,7 +258,7 @@ class CyclicTorque(Mode):
             axis.limited = axis.limited or cut != raw
             self._torque = cut / axis.torque_counts
         axis.demand_q, axis.demand_qd = axis.q, axis.qd
-        return Demand(held(axis.q, steps), self._torque, False, 0.0, axis.torque_limit)
+        return Demand(rows_at_rest(axis.q, steps), self._torque, False, 0.0, axis.torque_limit)
 
 
 MILLISECOND_STEPS = round(0.001 / STEP_S)
@@ -332,7 +332,7 @@ class ProfilePosition:
         self._inside = self._inside + steps if inside else 0
 
     def _limits(self) -> tuple[float, float, float]:
-        """Speed, acceleration, deceleration at the joint; what is 0 is what it can do."""
+        """Return speed, acceleration, deceleration at the joint; 0 stands for its own limit."""
         axis, objects = self._axis, self._axis.registers
         counts, joint = abs(axis.counts), self._axis.joint
         speed = min(objects[keys.PROFILE_VELOCITY], objects[keys.MAX_PROFILE_VELOCITY])
@@ -366,7 +366,7 @@ class Homing:
         self.listen(deaf)
         axis = self._axis
         axis.demand_qd = 0.0
-        return Demand(held(axis.demand_q, steps), math.nan, False, 0.0, axis.torque_limit)
+        return Demand(rows_at_rest(axis.demand_q, steps), math.nan, False, 0.0, axis.torque_limit)
 
     def listen(self, deaf: bool) -> None:
         """See `Mode`."""
@@ -394,5 +394,5 @@ _MODES: dict[int, Callable[[Axis], Mode]] = {
 
 
 def mode_of(number: int, axis: Axis) -> Mode:
-    """What 6061h shows, from where the axis' set-point is now."""
+    """Return the mode for 6061h, starting at the axis' present set-point."""
     return _MODES.get(number, Idle)(axis)

@@ -55,7 +55,7 @@ SDO_BYTES = 8
 
 
 class NmtState(IntEnum):
-    """As it is in a heartbeat."""
+    """NMT state, as it is in a heartbeat."""
 
     INITIALISING = 0
     STOPPED = 4
@@ -83,12 +83,12 @@ class MockNode(canopen.LocalNode):
         node_id: 1 to 127.
         registers: What `dictionary.registers_of` returned; live, shared with the drive.
         send: Puts a frame on the bus.
-        hooks: What the drive behind it wants to be told.
+        hooks: Calls to the drive of this node.
         boot_s: Device time that a start takes, in which it is deaf.
 
     Attributes:
         node_id, registers, hooks: As given.
-        errors: What is wrong.
+        errors: Of the node.
     """
 
     def __init__(
@@ -142,7 +142,7 @@ class MockNode(canopen.LocalNode):
             self._exchange.synced()
 
     def ticked(self, device_s: float) -> None:
-        """Time has passed: heartbeats, event timers, consumers' watch."""
+        """Let time pass: heartbeats, event timers, watch of other heartbeats."""
         self._now_s = device_s
         if self._nmt.code is NmtState.INITIALISING:
             if self._booted_s is not None and device_s >= self._booted_s:
@@ -160,7 +160,7 @@ class MockNode(canopen.LocalNode):
 
         Args:
             code: Error code; 0: nothing is wrong any more.
-            register: What it sets in 1001h, by default what its code stands for.
+            register: Its bits in 1001h; by default those of its code.
             data: Up to five bytes of the maker's.
         """
         if code:
@@ -178,11 +178,11 @@ class MockNode(canopen.LocalNode):
         return self._exchange.missed
 
     def bus_off(self) -> None:
-        """Its CAN controller has given up: nobody hears it, and it reacts."""
+        """Go bus off: the CAN controller has given up, and the drive reacts."""
         self._react(BUS_OFF)
 
     def bus_back(self) -> None:
-        """Its CAN controller is back: now it can say so."""
+        """Come back from bus off, and report that."""
         self.errors.told_late(BUS_OFF)
 
     def get_data(self, index: int, subindex: int, check_readable: bool = False) -> bytes:
@@ -206,7 +206,7 @@ class MockNode(canopen.LocalNode):
         self.hooks.written(entry.key, value)
 
     def _follow(self, entry: Object, value: int) -> None:
-        """What a write means for the node itself."""
+        """Act on a write that concerns the node itself."""
         if sdo.is_pdo_object(entry.index):
             self._exchange.configure()
         elif entry.index == sdo.CONSUMERS:
@@ -230,7 +230,7 @@ class MockNode(canopen.LocalNode):
         self.hooks.resetting(application)
         for entry in by_key().values():
             communication = 0x1000 <= entry.index < 0x2000
-            stays = entry.kept or entry.index in _ERROR_STATE
+            stays = entry.stays or entry.index in _ERROR_STATE
             if entry.key in self._defaults and not stays and (application or communication):
                 self.registers[entry.key] = self._defaults[entry.key]
         if application:
@@ -275,12 +275,12 @@ class MockNode(canopen.LocalNode):
 
 
 def _nothing(*_: object) -> None:
-    """Nobody listens."""
+    """Ignore the call; the default of all hooks."""
 
 
 @dataclass(slots=True)
 class Hooks:
-    """Set by who drives the node; each is called from within `heard`, `synced` or `ticked`.
+    """Set by the owner of the node; each is called from within `heard`, `synced` or `ticked`.
 
     Attributes:
         applied: RPDOs have been written into the registers: controlword, set-points.
@@ -314,7 +314,7 @@ _STATES = {int(state): state for state in NmtState}
 
 
 class NmtSlave(nmt.NmtSlave):
-    """The state machine alone; what follows from it is told to who owns it.
+    """The NMT state machine; its owner is called with every change.
 
     In place of `canopen`'s own, which knows neither resets nor a clock of the device's. The state
     by name, and set by name, is the library's property `state`.
@@ -333,7 +333,7 @@ class NmtSlave(nmt.NmtSlave):
 
     @property
     def code(self) -> NmtState:
-        """The state."""
+        """Code of the state."""
         return _STATES[self._state]
 
     def on_command(self, can_id: int, data: bytes, timestamp: float) -> None:
@@ -342,7 +342,7 @@ class NmtSlave(nmt.NmtSlave):
             self.send_command(data[0])
 
     def send_command(self, code: int) -> None:
-        """Do as the NMT master says; unknown commands are passed over, and all while booting."""
+        """Carry out an NMT command; unknown ones are ignored, and all while booting."""
         if self.code is NmtState.INITIALISING:
             return
         if code in (RESET_NODE, RESET_COMMUNICATION):
@@ -365,7 +365,7 @@ TOLERANCE_S = 1e-9
 
 
 class Producer:
-    """Says when the node's own heartbeat is due.
+    """Schedule of the node's own heartbeat.
 
     Args:
         registers: Live.
@@ -380,7 +380,7 @@ class Producer:
         self._next_s = now_s
 
     def due(self, now_s: float) -> bool:
-        """Whether it has to be sent now; asked once a tick."""
+        """Return whether it has to be sent now; called once a tick."""
         period_s = self._registers[keys.PRODUCER_HEARTBEAT] / 1000
         if not period_s or now_s + TOLERANCE_S < self._next_s:
             return False
@@ -411,7 +411,7 @@ class Consumer:
         self._lost.clear()
 
     def heard(self, node: int, now_s: float) -> bool:
-        """A heartbeat was on the bus; whether by it the last lost node is back."""
+        """Note a heartbeat; return whether the last lost node is back by it."""
         if node not in self._timeouts:
             return False
         self._heard[node] = now_s
@@ -421,7 +421,7 @@ class Consumer:
         return not self._lost
 
     def overdue(self, now_s: float) -> list[int]:
-        """Nodes that have been lost since it was last asked."""
+        """Return nodes that were lost since the last call."""
         lost = [
             node
             for node, heard_s in self._heard.items()
@@ -446,14 +446,14 @@ _GROUPS = {
 
 
 def bits_of(code: int) -> int:
-    """What an error sets in the error register (CiA 301); 7xxxh and 83xxh on are CiA 402's."""
+    """Return the bits of the error register for an error (CiA 301; 7xxxh, 83xxh on: CiA 402)."""
     if code >> 8 in _COMMUNICATION:
         return GENERIC | COMMUNICATION
     return GENERIC | _GROUPS.get(code >> 12, 0)
 
 
 class Errors:
-    """What is wrong, and what was.
+    """Present and earlier errors of the node.
 
     Args:
         registers: Live.
@@ -466,15 +466,15 @@ class Errors:
 
     @property
     def active(self) -> tuple[int, ...]:
-        """Codes of what is wrong, in the order in which it came."""
+        """Codes of the present errors, in the order in which they came."""
         return tuple(self._active)
 
     def report(self, code: int, register: int | None = None, data: bytes = b"") -> None:
-        """An error has come; one that is there already is not told again.
+        """Add an error; one that is present already is not reported again.
 
         Args:
             code: Error code.
-            register: What it sets in 1001h, by default what its code stands for.
+            register: Its bits in 1001h; by default those of its code.
             data: Up to five bytes of the maker's.
         """
         if code in self._active:
@@ -495,7 +495,7 @@ class Errors:
             self._tell(0, b"")
 
     def told_late(self, code: int) -> None:
-        """An error that came while nobody could be told: it is there, or it was."""
+        """Report an error of a time without a bus: it is present, or it has passed."""
         if code in self._active:
             self._tell(code, b"")
         else:
@@ -532,7 +532,7 @@ Heard = Callable[[int, Any, float], None]
 
 
 class DeviceNetwork(Network):
-    """One node's view of the bus; the owner says what is on it, and takes what is sent.
+    """One node's view of the bus; its owner passes frames in and takes those that are sent.
 
     Args:
         send: Puts a frame on the bus.
@@ -548,7 +548,7 @@ class DeviceNetwork(Network):
         self._listeners.setdefault(can_id, []).append(callback)
 
     def unsubscribe(self, can_id: int, callback: Heard | None = None) -> None:
-        """Call it no longer; nobody, where none is named."""
+        """Remove a callback; all, where none is named."""
         if callback is None:
             self._listeners.pop(can_id, None)
         elif callback in self._listeners.get(can_id, []):
@@ -559,7 +559,7 @@ class DeviceNetwork(Network):
         self._send(can_id, bytes(data))
 
     def send_periodic(self, can_id: int, data: bytes, period: float, remote: bool = False) -> Never:
-        """Never: heartbeats and event timers go by the device's clock."""
+        """Raise: heartbeats and event timers go by the device's clock."""
         raise NotImplementedError("the mock node sends nothing by a timer of its own")
 
     def heard(self, can_id: int, data: bytes) -> None:

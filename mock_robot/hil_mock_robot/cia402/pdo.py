@@ -76,7 +76,7 @@ class Exchange:
         return can_id in self._by_id
 
     def heard(self, can_id: int, data: bytes, now_s: float) -> int:
-        """An RPDO has come; what is wrong with it (error code), 0 where nothing is.
+        """Handle an RPDO; return its error code, 0 if it is right.
 
         What is too short is not taken, of what is too long the rest is left.
         """
@@ -89,7 +89,7 @@ class Exchange:
         return TOO_LONG if len(data) > pdo.length else 0
 
     def synced(self) -> None:
-        """SYNC: what has come is applied, then what goes by SYNC is sent."""
+        """Handle SYNC: apply RPDOs that have come, then send TPDOs that go by SYNC."""
         applied = [pdo for pdo in self._applied_by_sync if pdo.apply()]
         if self._leading in applied:
             self._led, self.missed = True, 0
@@ -103,7 +103,7 @@ class Exchange:
                 self._send(pdo.cob_id, data)
 
     def ticked(self, now_s: float) -> bool:
-        """Send what goes by events; whether an RPDO is overdue."""
+        """Send TPDOs that go by events; return whether an RPDO is overdue."""
         for pdo in self._by_event:
             data = pdo.by_event(now_s)
             if data is not None:
@@ -131,7 +131,7 @@ class Layout:
 
     @classmethod
     def of(cls, registers: Registers, index: int) -> Layout:
-        """What that mapping says."""
+        """Return the objects of a mapping."""
         raw = (registers[key(index, sub)] for sub in range(1, registers[key(index)] + 1))
         entries = [mapped(entry) for entry in raw]
         codes = "".join(
@@ -168,7 +168,7 @@ class Rpdo:
         self.restart()
 
     def restart(self) -> None:
-        """Forget what has come."""
+        """Forget RPDOs that have come."""
         self._waiting: bytes | None = None
         self._heard_s: float | None = None
 
@@ -187,7 +187,7 @@ class Rpdo:
         self._waiting, self._heard_s = data, now_s
 
     def apply(self) -> bool:
-        """Write what has come into the registers; whether there was something."""
+        """Write data that have come into the registers; return whether there were any."""
         if self._waiting is None:
             return False
         values = self._layout.packing.unpack_from(self._waiting)
@@ -196,7 +196,7 @@ class Rpdo:
         return True
 
     def overdue(self, now_s: float) -> bool:
-        """Whether its event timer has run out since it last came; told once."""
+        """Return, once, whether its event timer has run out since it last came."""
         if not self._timeout_s or self._heard_s is None:
             return False
         if now_s - self._heard_s <= self._timeout_s + TICK_TOLERANCE_S:
@@ -245,7 +245,7 @@ class Tpdo:
         self._sent_s = 0.0
 
     def with_sync(self) -> bytes | None:
-        """What is to be sent with this SYNC."""
+        """Return the data to be sent with this SYNC."""
         if self._type == 0:
             data = self._sample()
             if data == self._sent:
@@ -259,7 +259,7 @@ class Tpdo:
         return self._sample()
 
     def by_event(self, now_s: float) -> bytes | None:
-        """What is to be sent now because something is new, or the event timer has run out."""
+        """Return the data to be sent now: they are new, or the event timer has run out."""
         waited_s = now_s - self._sent_s + TICK_TOLERANCE_S
         if self._sent is not None and waited_s < self._inhibit_s:
             return None

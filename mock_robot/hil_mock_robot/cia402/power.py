@@ -35,7 +35,7 @@ from collections.abc import Callable
 from enum import Enum, IntEnum
 
 from hil_mock_robot.cia402 import keys
-from hil_mock_robot.cia402.axis import Axis, Ramp, held
+from hil_mock_robot.cia402.axis import Axis, Ramp, rows_at_rest
 from hil_mock_robot.cia402.body import Demand
 from hil_mock_robot.cia402.keys import Registers
 
@@ -43,7 +43,7 @@ FAULT = 1
 
 
 class State(Enum):
-    """A state; its value is what the statusword says of it (bits 0 to 3, 5 and 6)."""
+    """A state; its value is its bits in the statusword (0 to 3, 5 and 6)."""
 
     NOT_READY_TO_SWITCH_ON = 0x00
     SWITCH_ON_DISABLED = 0x40
@@ -56,7 +56,7 @@ class State(Enum):
 
 
 class Command(Enum):
-    """What a controlword asks for."""
+    """A command in the controlword."""
 
     NONE = "nothing"
     SHUTDOWN = "shutdown"
@@ -68,7 +68,7 @@ class Command(Enum):
 
 
 class Transition(IntEnum):
-    """A change of state by its number in the standard; what is not commanded is in `EVENTS`."""
+    """A change of state by its number in the standard; those without a command are in `EVENTS`."""
 
     STARTED = 0
     INITIALISED = 1
@@ -125,7 +125,7 @@ _COMMANDS = (
 
 
 def command_of(controlword: int, before: int) -> Command:
-    """What a controlword asks for, after the one `before` it.
+    """Return the command in a controlword that follows the one `before` it.
 
     A fault reset is a rising edge of bit 7; as long as that bit stays set, there is no command.
     """
@@ -202,7 +202,7 @@ class PowerStage:
     """The state machine at work on an axis.
 
     Args:
-        axis: What it powers.
+        axis: Of this drive.
         begun: Called when the operation is enabled, and when it goes on after a quick stop.
         fault_reset: Called when a master resets a fault; whether it may, or its cause is there yet.
 
@@ -230,8 +230,8 @@ class PowerStage:
         self.enter(State.NOT_READY_TO_SWITCH_ON)
 
     @property
-    def told(self) -> int:
-        """What the statusword tells of the state; bit 10 while the axis is being stopped."""
+    def status_bits(self) -> int:
+        """Return the state's bits of the statusword; bit 10 while the axis is being stopped."""
         stop, halt = self.stop, self.halt
         rests = stop.rests if stop is not None else halt is not None and halt.done
         return self.word | TARGET_REACHED * rests
@@ -281,8 +281,8 @@ class PowerStage:
             self.enter(State.FAULT)
 
     def without(self, steps: int) -> Demand:
-        """What the axis asks for without power: its motor turns freely, then the brake holds it."""
-        rows = held(self._axis.q, steps)
+        """Return the demand without power: the motor turns freely, then the brake closes."""
+        rows = rows_at_rest(self._axis.q, steps)
         if self.coasting <= 0:
             return Demand(rows, math.nan, True)
         self.coasting -= steps
@@ -357,7 +357,7 @@ class PowerStage:
         self.enter(to)
 
     def _turn_halt(self) -> bool:
-        """Begin or end a halt as bit 8 says; whether one has ended."""
+        """Begin or end a halt by bit 8; return whether one has ended."""
         if self._word & HALT_BIT:
             self.halt = self._ramp(option_of(self._axis.registers, keys.HALT_OPTION))
             return False
@@ -397,14 +397,14 @@ class Stop:
 
 
 def slowed(axis: Axis, ramp: Ramp, steps: int) -> Demand:
-    """What an axis asks for along a ramp; its set-point is where that leads."""
+    """Return the demand of an axis along a ramp; its set-point follows."""
     rows = ramp.advance(steps)
     axis.demand_q, axis.demand_qd = ramp.q, ramp.qd
     return Demand(rows, math.nan, False, 0.0, axis.torque_limit)
 
 
 def option_of(registers: Registers, where: int) -> int:
-    """An option code; what makers have for themselves (below 0) counts as 0."""
+    """Return an option code; makers' own codes (below 0) count as 0."""
     return max(0, registers[where])
 
 
@@ -420,7 +420,7 @@ class Connection:
 
     Args:
         registers: Live.
-        power: What it acts on.
+        power: Of the same drive.
         fault: Lets the drive fail with an error code.
     """
 
@@ -430,7 +430,7 @@ class Connection:
         self._registers, self._power, self._fault = registers, power, fault
 
     def lost(self, code: int) -> None:
-        """An error of the connection: a heartbeat that is overdue, bus off, RPDOs that stay away.
+        """React to an error of the connection: heartbeat or RPDOs overdue, bus off.
 
         The controlword that the master has left behind counts no more until it is another one.
         """

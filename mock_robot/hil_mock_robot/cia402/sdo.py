@@ -91,13 +91,13 @@ class SdoServer(server.SdoServer):
         self._going = REQUEST_SEGMENT_UPLOAD if self._buffer else None
 
     def segmented_upload(self, command: int) -> None:
-        """Send what comes next; after the last of it nothing is going on."""
+        """Send the next segment; the transfer ends with the last one."""
         super().segmented_upload(command)  # type: ignore[no-untyped-call]
         if not self._buffer:
             self._going = None
 
     def init_download(self, request: bytes) -> None:
-        """Begin to write; four bytes of which the client does not say how many are meant fit."""
+        """Begin to write; four bytes without a length fit an object of any length."""
         command, index, sub = SDO_STRUCT.unpack_from(request)
         entry = by_key().get(index << 8 | sub)
         if command & EXPEDITED and not command & SIZE_SPECIFIED and entry and entry.type in CODES:
@@ -116,7 +116,7 @@ class SdoServer(server.SdoServer):
             self._going = None
 
     def abort(self, abort_code: int = ABORT_GENERAL_ERROR) -> None:
-        """End what is going on."""
+        """End the present transfer."""
         self._going = None
         super().abort(abort_code)  # type: ignore[no-untyped-call]
 
@@ -159,7 +159,7 @@ def read_object(registers: Registers, entry: Object, *, by_client: bool) -> byte
 
 
 def decoded_value(registers: Registers, entry: Object, data: bytes, *, by_client: bool) -> int:
-    """What an object's register becomes when that data is written to it.
+    """Return the register of an object for data that are written to it.
 
     Raises:
         Abort: It may not be written, not with this, or not now.
@@ -197,7 +197,7 @@ def _check_rhythm(registers: Registers, entry: Object, value: int) -> None:
 
 
 def watched(raw: int) -> tuple[int, float]:
-    """Node and time-out [s] of an entry of 1016h; a time-out of 0: nobody is watched."""
+    """Return node and time-out [s] of an entry of 1016h; 0 s: no node is watched."""
     node, milliseconds = raw >> 16 & 0xFF, raw & 0xFFFF
     return node, milliseconds / 1000 if 0 < node < 128 else 0.0
 
@@ -303,7 +303,7 @@ def _check_entry(raw: int, transmit: bool) -> None:
 
 
 def mapped(raw: int) -> tuple[int, int]:
-    """Key and length in bits of what an entry of 16xxh or 1Axxh names."""
+    """Return key and length in bits of the object of an entry of 16xxh or 1Axxh."""
     return raw >> 8, raw & 0xFF
 
 
@@ -317,7 +317,7 @@ EXTENDED_PART = 0x3FFF_F800
 
 
 def cob_id_is_valid(cob_id: int) -> bool:
-    """Whether what has this COB-ID exists."""
+    """Return whether the object with this COB-ID is in use."""
     return not cob_id & NOT_VALID
 
 

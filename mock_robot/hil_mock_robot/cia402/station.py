@@ -50,7 +50,7 @@ class Station:
         put: Puts a frame on the bus.
         clock: Device time.
         master_id: Node id under which the master announces what it does.
-        mounted: What really hangs at the flange; what is declared when None.
+        mounted: Load that really hangs at the flange; the declared one when None.
         flush: Lets the bus have what was put on it, before the arm is moved.
 
     Attributes:
@@ -58,7 +58,7 @@ class Station:
         body, clock: As given.
         marker: What the master has announced.
         declared: The load that was written into the payload objects.
-        listeners: Told of what happens: a word, and what belongs to it.
+        listeners: Called with each event: its name and details.
         passed: Called after each block of steps, with their number.
     """
 
@@ -94,12 +94,12 @@ class Station:
         return Unit(number, node_id, registers, joint, voice, self._told, self._written)
 
     def boot(self) -> None:
-        """Power on."""
+        """Switch the drives on."""
         for axis in self.axes:
             axis.node.boot()
 
     def heard(self, can_id: int, data: bytes, now_s: float) -> None:
-        """A frame is on the bus; nobody's here sent it."""
+        """Handle a frame of the bus that no drive of this station has sent."""
         if can_id == SYNC:
             self._synced(now_s)
         else:
@@ -122,17 +122,17 @@ class Station:
         self._siblings.listen(self._routes)
 
     def mount(self, payload: Payload | None) -> None:
-        """Hang something to the flange, whatever is declared; None for what is declared."""
+        """Mount a load, whatever is declared; None for the declared one."""
         self._mounted = payload
         self.body.mount(self.mounted)
 
     @property
     def mounted(self) -> Payload:
-        """What really hangs at the flange."""
+        """The load that really hangs at the flange."""
         return self.declared if self._mounted is None else self._mounted
 
     def tell(self, event: str, **details: int | float | str) -> None:
-        """Let all who listen know."""
+        """Pass an event to all listeners."""
         for listener in self.listeners:
             listener(event, details)
 
@@ -149,7 +149,7 @@ class Station:
             self._advance(steps, synced=True)
 
     def _release(self) -> None:
-        """The drives' time has come to where the wall's is: what is late may be due."""
+        """Send delayed frames that are due at the drives' present time."""
         for axis in self.axes:
             if not axis.line.sound:
                 axis.line.release()
@@ -205,10 +205,10 @@ class Station:
             self._declare()
 
     def _look_at_period(self) -> None:
-        """Time has one pace: that of the first drive that was told one, best an operational one."""
+        """Take the period of the first drive that has one set, preferably an operational one."""
         ordered = sorted(self.axes, key=lambda axis: not axis.operational)
-        told = (axis.drive.period_s for axis in ordered)
-        self._period_s = next((period for period in told if period), DEFAULT_PERIOD_S)
+        periods = (axis.drive.period_s for axis in ordered)
+        self._period_s = next((period for period in periods if period), DEFAULT_PERIOD_S)
 
     def _declare(self) -> None:
         values = [real(self.axes[0].registers[key]) for key in PAYLOAD]
@@ -237,7 +237,7 @@ class Unit:
         number: From 0.
         node_id: On the bus.
         registers: As after power-on.
-        joint: What it turns.
+        joint: Of its axis.
         put: Puts a frame on the bus.
         told: Called with what happens.
         written: Called with axis and key of every object that a client has written.
@@ -285,7 +285,7 @@ class Unit:
         return self.follows_sync and not self.line.cuts
 
     def bus_off(self) -> None:
-        """Its CAN controller has given up: nothing passes, and the drive knows."""
+        """Let a drive's CAN controller go bus off."""
         self.line.cuts.add("bus_off")
         self.line.look()
         self.node.bus_off()
@@ -304,7 +304,7 @@ class Unit:
         self.drive.reset()
 
     def power_on(self) -> None:
-        """It starts anew, with nothing of what was set."""
+        """Start a drive anew, without its settings."""
         self.line.cuts.discard("power")
         self.line.look()
         self.node.heard(NMT, bytes([RESET_NODE, self.node_id]))
@@ -343,7 +343,7 @@ CAN_ID = 0x7FF
 
 
 class Routes:
-    """Looks up who hears a frame, and remembers it until a COB-ID changes.
+    """Finds the receivers of a frame, and keeps them until a COB-ID changes.
 
     Args:
         units: All drives.
@@ -354,7 +354,7 @@ class Routes:
         self._known: dict[int, tuple[Unit, ...]] = {}
 
     def to(self, can_id: int) -> tuple[Unit, ...]:
-        """The drives that hear frames of this identifier."""
+        """Return the drives that receive frames of this identifier."""
         found = self._known.get(can_id)
         if found is None:
             found = self._known[can_id] = self._look(can_id)
@@ -386,10 +386,10 @@ HEARTBEATS = range(0x701, 0x780)
 
 
 class Siblings:
-    """Keeps what drives send until the others can hear it: when all have done with the last frame.
+    """Delivers frames of drives to the other drives, once all have handled the last frame.
 
     Args:
-        put: Puts a frame on the bus, for everybody else.
+        put: Sends a frame on the bus, to all others.
     """
 
     def __init__(self, put: Send) -> None:
@@ -407,7 +407,7 @@ class Siblings:
         return say
 
     def listen(self, routes: Routes) -> None:
-        """Let the others hear what was said: PDOs that are linked, heartbeats that are watched."""
+        """Deliver frames to the other drives: linked PDOs, watched heartbeats."""
         while self._said:
             number, can_id, data = self._said.popleft()
             for unit in routes.to(can_id):
@@ -492,7 +492,7 @@ class DeviceClock:
         self._gives_up_s = min(self._gives_up_s, self._synced_s + IDLE_PATIENCE_S)
 
     def slept(self, lasted_s: float) -> None:
-        """For so long nobody looked whether there is SYNC: that time does not count."""
+        """Discount a time [s] in which the mock could not look for SYNC."""
         self._gives_up_s += lasted_s
 
     def wait_s(self, now_s: float, steps: int) -> float:
@@ -518,7 +518,7 @@ MOVING = 1
 
 
 class Marker:
-    """Follows what the master announces.
+    """The segment and status that the master announces.
 
     Args:
         master_id: Its node id.
@@ -540,7 +540,7 @@ class Marker:
         return bool(self.status & MOVING)
 
     def heard(self, data: bytes) -> None:
-        """A frame of that identifier; others of that length are nobody's."""
+        """Handle a frame with the marker's identifier; other lengths are ignored."""
         if len(data) == FRAME.size:
             self.segment, self.status = FRAME.unpack(data)
             self.known = True
@@ -553,7 +553,7 @@ SETPOINTS = (keys.TARGET_POSITION, keys.TARGET_VELOCITY, keys.TARGET_TORQUE)
 
 
 class MotionWatch:
-    """Says when a motion begins and ends.
+    """Detects when a motion begins and ends.
 
     A master that announces what it does is believed; else set-points that change are a motion.
 
@@ -562,7 +562,7 @@ class MotionWatch:
 
     Attributes:
         moving: Whether one is under way.
-        listeners: Told whether it begins or ends.
+        listeners: Called with whether a motion begins.
     """
 
     def __init__(self, station: Station) -> None:

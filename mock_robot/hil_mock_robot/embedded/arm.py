@@ -145,7 +145,7 @@ class Arm:
         self.servo, self.fault, self.locked = servo, 0, False
 
     def mount(self, gravity_m_s2: tuple[float, float, float]) -> None:
-        """Be mounted as the station says.
+        """Mount the arm as the station has it.
 
         Raises:
             SpecError: The option `mount` says otherwise.
@@ -157,7 +157,7 @@ class Arm:
         self.gravity = gravity_m_s2
 
     def set_payload(self, payload: Payload) -> None:
-        """Declare a load and, unless `mounted_payload` says otherwise, mount it.
+        """Declare a load and, unless `mounted_payload` is given, mount it.
 
         Raises:
             CommandRefused: It is too heavy, or the arm is moving.

@@ -30,7 +30,7 @@ class Clock(Protocol):
         """The robot is closed; returns when its arm rests, as far as time passes for it."""
 
     def catch_up(self) -> None:
-        """Let everything happen that was due before now."""
+        """Let all samples pass that were due before now."""
 
     def contact(self) -> None:
         """The host has shown itself."""
@@ -39,14 +39,14 @@ class Clock(Protocol):
         """See `hil.robot.Robot.read`."""
 
     def forget(self) -> None:
-        """Drop rows nobody has read."""
+        """Drop rows that were not read."""
 
 
 class VirtualClock:
     """Advances only when it is read.
 
     Args:
-        controller: What it advances.
+        controller: Advanced by this clock.
         changed: Its lock; notified when the robot is closed.
         block: Samples at once.
     """
@@ -152,7 +152,7 @@ class WallClock:
     which thus acts on the arm as it is now, however late the thread may be.
 
     Args:
-        controller: What it advances.
+        controller: Advanced by this clock.
         changed: Its lock; notified when there are rows or the robot is closed.
         pace: How fast, and what else.
     """
@@ -214,7 +214,7 @@ class WallClock:
         self._queued = self._lost = 0
 
     def read(self, timeout_s: float) -> StructArray:
-        """What has come since the last call; waits when that is nothing."""
+        """Return rows since the last call; wait if there are none."""
         end = time.monotonic() + timeout_s
         with self._changed:
             self._readers += 1
@@ -267,7 +267,7 @@ class WallClock:
                 self._advance(block)
 
     def _advance(self, least: int) -> None:
-        """Let the samples pass that are due, if they are at least so many."""
+        """Let due samples pass, if they are at least so many."""
         # Advancing already: a signal handler has interrupted this thread in the middle of it.
         if self._advancing or self._thread is None or self._broken is not None:
             return
@@ -278,7 +278,7 @@ class WallClock:
         try:
             self._guard(self._controller)
             self._produce(due)
-        except Exception as error:  # a bug here must reach whoever reads
+        except Exception as error:  # a mistake here must reach the reader
             self._broken = error
         finally:
             self._advancing = False

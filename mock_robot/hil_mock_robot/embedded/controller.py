@@ -29,13 +29,13 @@ BRAKING_BLOCK = 16
 
 
 class Controller:
-    """One robot's controller; nothing here is safe against a second thread.
+    """One robot's controller, for one thread.
 
     Args:
         name: The robot's name.
-        arm: What it controls.
-        faults: What is to go wrong.
-        journal: Told what happens.
+        arm: Of this controller.
+        faults: Planned faults.
+        journal: Of the robot.
         spacing_s: Wall time between samples, 0 on a virtual clock.
 
     Attributes:
@@ -101,12 +101,12 @@ class Controller:
             self._faults.mend()
 
     def disconnect(self) -> None:
-        """Let the host go."""
+        """Disconnect the host."""
         self.rest.finish()
         self.connected = False
 
     def strike(self, fault: EmbeddedFault) -> None:
-        """Let something go wrong that nobody has planned; what is due begins with the next row."""
+        """Add a fault that was not planned; a due one begins with the next row."""
         if isinstance(fault, Refuse):
             self._refusals.append(fault)
         elif self._faults is None:
@@ -115,7 +115,7 @@ class Controller:
             self._faults.plan(fault)
 
     def clear(self) -> None:
-        """End what is wrong with the line, and forget what is to come."""
+        """End faults of the line, and forget later ones."""
         self._refusals = []
         if self._faults:
             self._faults.clear()
@@ -174,13 +174,13 @@ class Controller:
         self.arm.trip(fault)
 
     def fault_error(self) -> RobotFault:
-        """What the host is told about the present fault."""
+        """Return the error for the present fault."""
         return RobotFault(
             f"{self.name}: {FAULTS[self.arm.fault]}", hint="find the cause, then reconnect"
         )
 
     def produce(self, most: int) -> StructArray:
-        """Let up to `most` samples of device time pass; returns the rows that get to the host."""
+        """Let up to `most` samples of device time pass; return the rows that the host gets."""
         if self._faults:
             # A block ends before the next change: what is wrong holds for whole blocks.
             self._faults.reach(self.samples + 1)
@@ -197,12 +197,12 @@ class Controller:
         return self.line.carry(rows, self.arm.device_time) if self._faults else rows
 
     def hand_over(self, rows: StructArray) -> StructArray:
-        """Note what the host gets to know, on the way to it."""
+        """Note whether rows show a fault, and pass them on to the host."""
         self.fault_told = self.fault_told or bool((rows["status"] & int(Status.FAULT)).any())
         return rows
 
     def come_to_rest(self) -> None:
-        """Let device time pass until the arm is at rest; for clocks that nobody else advances."""
+        """Let device time pass until the arm is at rest; for clocks that stand still else."""
         end = self.arm.device_time + BRAKING_AT_MOST_S
         while not self.still and self.arm.device_time < end:
             self.produce(BRAKING_BLOCK)
@@ -245,7 +245,7 @@ class Controller:
         return False
 
     def _note_failure(self) -> None:
-        """The simulation found a fault and the brakes were engaged."""
+        """Note a fault of the simulation, by which the brakes were closed."""
         code, at = self.arm.fault, self.moment()
         self.note("fault", at, kind=FAULT_KINDS[code], code=code)
         if self.arm.locked and not self.arm.dead:

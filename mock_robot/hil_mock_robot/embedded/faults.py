@@ -17,7 +17,7 @@ from hil_mock_robot.server.faults import LONGEST_S, REQUIRED, Fault, count, seco
 
 
 class Target(Protocol):
-    """What faults act on: the controller."""
+    """The controller, on which faults act."""
 
     @property
     def line(self) -> Line:
@@ -52,7 +52,7 @@ class Refuse(EmbeddedFault, kind="refuse"):
 
 
 class _OnLine(EmbeddedFault):
-    """What the line suffers from as long as it lasts."""
+    """A fault of the line, for as long as it lasts."""
 
     def begin(self, mock: Target) -> None:
         mock.line.wrong[self.kind] += 1
@@ -166,7 +166,7 @@ class Line:
         self.to_drop = self.to_repeat = 0
 
     def carry(self, rows: StructArray, now: float) -> StructArray:
-        """What the host gets, perhaps nothing, when `rows` are sent at the true device time `now`.
+        """Return the rows that the host gets when `rows` are sent at the true device time `now`.
 
         Rows in `rows` may be changed.
         """

@@ -48,7 +48,7 @@ LEAST_WALL_SAMPLES_HZ = 10.0
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What a station may say about a mock robot, beside its name and model.
+    """Options of a mock robot in a station, beside name and model.
 
     Attributes:
         seed, profile: Which robot is drawn; see `draw_truth`.
@@ -69,7 +69,7 @@ class Options:
         speed: Simulated seconds per second of wall time.
         queue_s: Wall time of state rows that wait to be read; older ones are lost.
         watchdog_s: Wall time without a reader after which a moving arm is stopped; 0 for never.
-        journal: File to which the robot appends what it was told and what it did.
+        journal: File to which the robot appends commands and events.
         faults: What goes wrong, and when; see `hil_mock_robot.embedded.faults`.
     """
 
@@ -185,12 +185,12 @@ def start_of(arm: ArmDescription, options: Options) -> FloatArray:
 
 
 def wrong_option(name: str, value: object, hint: str) -> SpecError:
-    """The error that says what one option was and what would be right."""
+    """Return the error for a wrong option, with a hint."""
     return SpecError(f"mock option {name} is {value!r}", hint=hint)
 
 
 def gravity_of(mount: str | Sequence[float]) -> tuple[float, float, float]:
-    """Gravity in the base frame [m/s²] for a name of `MOUNTS`, or as given.
+    """Return gravity in the base frame [m/s²] for a name of `MOUNTS`, or as given.
 
     Raises:
         SpecError: There is no such mount.
@@ -208,7 +208,7 @@ def gravity_of(mount: str | Sequence[float]) -> tuple[float, float, float]:
 
 
 def mount_of(options: Options) -> tuple[float, float, float]:
-    """Gravity in the base frame [m/s²] as long as no station says anything.
+    """Return gravity in the base frame [m/s²] where no station sets it.
 
     Raises:
         SpecError: There is no such mount.
@@ -234,7 +234,7 @@ def require_same_mount(options: Options, station: Sequence[float]) -> None:
 
 
 def mounted_of(options: Options) -> Payload | None:
-    """What really hangs at the flange, None when it is whatever is declared.
+    """Return the load that really hangs at the flange; None for the declared one.
 
     Raises:
         SpecError: The mapping is not a payload.

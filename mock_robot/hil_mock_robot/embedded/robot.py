@@ -61,13 +61,13 @@ class MockRobot:
         require_short_block(self._options, self._arm.rate_hz)
         self._journal = Journal(self._options.journal, name)
         # stop() may come from another thread than read(), or from a signal handler inside it:
-        # a block takes well under 10 ms, and whoever waits for rows waits without the lock.
+        # a block takes well under 10 ms, and a reader waits for rows without the lock.
         self._lock = threading.Condition(threading.RLock())
         self._controller, self._clock = self._build()
 
     @property
     def truth(self) -> Truth:
-        """What this robot is really like."""
+        """The true parameters of this robot."""
         return self._arm.truth
 
     @property
@@ -114,7 +114,7 @@ class MockRobot:
         self._journal.open()
         # Outside the lock: the first one compiles for seconds and stop() must not wait.
         built = self._arm.build()
-        with self._told("connect"):
+        with self._command("connect"):
             if self._arm.fault:
                 self._clock.forget()
             self._arm.switch_on(built)
@@ -122,7 +122,7 @@ class MockRobot:
         self._clock.begin()
 
     def set_gravity(self, gravity_m_s2: tuple[float, float, float]) -> None:
-        """Be mounted as the station says.
+        """Mount the arm as the station has it.
 
         Raises:
             SpecError: The option `mount` says otherwise.
@@ -131,12 +131,12 @@ class MockRobot:
         self._arm.mount(gravity_m_s2)
 
     def set_payload(self, payload: Payload) -> Payload:
-        """Declare a load and, unless `mounted_payload` says otherwise, mount it.
+        """Declare a load and, unless `mounted_payload` is given, mount it.
 
         Raises:
             CommandRefused: It is too heavy, or the arm is moving.
         """
-        with self._told("set_payload", mass_kg=payload.mass, com_m=list(payload.com)):
+        with self._command("set_payload", mass_kg=payload.mass, com_m=list(payload.com)):
             self._controller.require_connection()
             self._controller.set_payload(payload)
             return payload
@@ -147,7 +147,7 @@ class MockRobot:
         Raises:
             CommandRefused: It starts elsewhere, moves at its ends, or leaves the limits.
         """
-        with self._told("prepare", segment=segment.index, kind=segment.kind):
+        with self._command("prepare", segment=segment.index, kind=segment.kind):
             self._controller.require_connection()
             self._controller.prepare(segment)
 
@@ -157,10 +157,10 @@ class MockRobot:
         Raises:
             CommandRefused: Nothing is prepared, or a segment is still running.
         """
-        with self._told("start") as told:
+        with self._command("start") as command:
             self._controller.require_connection()
             self._controller.start()
-            told.details["segment"] = self._arm.motion.segment
+            command.details["segment"] = self._arm.motion.segment
 
     def read(self, timeout_s: float = 1.0) -> StructArray:
         """New rows: computed now, up to `block` and not past a segment's end, or those that wait.
@@ -183,23 +183,23 @@ class MockRobot:
         """
         if self._arm.servo is None:
             return
-        with self._told("stop") as told:
-            told.details["moving"] = self._arm.moving
+        with self._command("stop") as command:
+            command.details["moving"] = self._arm.moving
             if self._controller.connected:
                 self._controller.require_connection()
-            self._controller.brake("stop", told.at)
+            self._controller.brake("stop", command.at)
 
     def close(self) -> None:
         """Stop and disconnect; the robot stays where it is and `connect` finds it again.
 
-        In wall time it returns when the arm is at rest. Whoever waits in `read` gets an error.
+        In wall time it returns when the arm is at rest. A waiting `read` raises an error.
         """
         if not self._controller.connected:
             return
-        with self._told("close") as told:
-            told.details["moving"] = self._arm.moving
+        with self._command("close") as command:
+            command.details["moving"] = self._arm.moving
             if not self._controller.line.cut:
-                self._controller.brake("" if self._controller.still else "close", told.at)
+                self._controller.brake("" if self._controller.still else "close", command.at)
         self._clock.end()
         with self._lock:
             self._controller.note("closed")
@@ -208,7 +208,7 @@ class MockRobot:
             self._lock.notify_all()
 
     def client_gone(self) -> None:
-        """Note that whoever drove the robot has died; for drivers in a process of their own."""
+        """Note that the client has died; for drivers in a process of their own."""
         with self._lock:
             self._controller.note("client_gone")
 
@@ -219,7 +219,7 @@ class MockRobot:
             self._arm.powered.push(np.asarray(torque, dtype=float))
 
     def fault(self, kind: str, **keys: Any) -> contextlib.ExitStack:
-        """Let something go wrong now; in a `with` statement until its end.
+        """Begin a fault now; in a `with` statement, until its end.
 
         Args:
             kind: As in the option `faults` (docs/reference/mock.md).
@@ -240,7 +240,7 @@ class MockRobot:
         return over
 
     def clear(self) -> None:
-        """What goes wrong is over and nothing is to come; a stop is over after `connect`."""
+        """End faults and forget later ones; a stop ends with `connect`."""
         with self._lock:
             self._controller.clear()
             self._lock.notify_all()
@@ -256,7 +256,7 @@ class MockRobot:
 
         The torque goes through the drive's nominal gain and compensates nothing, gravity included.
         """
-        with self._told("command_torque"):
+        with self._command("command_torque"):
             self._controller.require_connection()
             self._controller.command_torque(None if torque is None else np.asarray(torque))
 
@@ -274,21 +274,21 @@ class MockRobot:
         return controller, clock
 
     @contextlib.contextmanager
-    def _told(self, event: str, **details: Any) -> Iterator[_Telling]:
-        """Hold the lock while the robot is told something, and put that into the journal."""
-        asked = time.monotonic()
+    def _command(self, event: str, **details: Any) -> Iterator[_CommandRecord]:
+        """Hold the lock during a command, and write it to the journal."""
+        called = time.monotonic()
         with self._lock:
             self._clock.catch_up()
-            telling = _Telling(self._controller.moment(asked), details)
+            command = _CommandRecord(self._controller.moment(called), details)
             try:
-                yield telling
+                yield command
             except HilError as error:
                 details["refused"] = error.message
                 raise
             finally:
                 self._clock.contact()
-                took_s = round(time.monotonic() - asked, 6)
-                self._controller.note(event, telling.at, **details, took_s=took_s)
+                took_s = round(time.monotonic() - called, 6)
+                self._controller.note(event, command.at, **details, took_s=took_s)
 
 
 def _require_extra() -> None:
@@ -298,8 +298,8 @@ def _require_extra() -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class _Telling:
-    """Something the robot is told: when, and what the journal says about it."""
+class _CommandRecord:
+    """A command to the robot: its time, and details for the journal."""
 
     at: Moment
     details: dict[str, Any]

@@ -54,7 +54,7 @@ class Plant:
 
 
 def nominal_links(arm: ArmDescription) -> tuple[LinkTruth, ...]:
-    """The links as published: what the robot's controller believes."""
+    """Return the published links, which the robot's controller computes with."""
     return tuple(
         LinkTruth(
             float(mass),

@@ -103,7 +103,7 @@ class Joints(NamedTuple):
 
 
 class Disturbances(NamedTuple):
-    """What acts on the arm from outside the experiment; all (n,) and settable between blocks.
+    """Influences from outside the experiment; all (n,) and settable between blocks.
 
     Attributes:
         push: External joint torque [N·m].

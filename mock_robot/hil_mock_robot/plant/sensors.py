@@ -48,7 +48,7 @@ class Sensors:
 
 
 class Quanta:
-    """Steps in which something is told.
+    """Quantisation steps of a sensor.
 
     Args:
         quantum: (n,) one step; 0 where there are none.

@@ -32,7 +32,7 @@ from hil_mock_robot.plant.truth import Truth, nominal_rotors, published
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Samples:
-    """What is true at the end of each sample; see `CHANNELS` for the order of `values`.
+    """True state at the end of each sample; see `CHANNELS` for the order of `values`.
 
     Attributes:
         values: (N, len(CHANNELS), n).
@@ -134,11 +134,11 @@ class Simulation:
 
     @property
     def moment_target(self) -> FloatArray:
-        """(n,) what the last set-point needs by that model, friction excluded [N·m]."""
+        """(n,) torque of the last set-point by the nominal model, friction excluded [N·m]."""
         return np.array(self._views.nominal_torque)
 
     def set_payloads(self, mounted: Payload, declared: Payload) -> None:
-        """Mount one body and tell the controller about another (usually the same) one."""
+        """Mount one load, and let the controller compute with another (usually the same) one."""
         self._load(mounted, declared, self.position, self.speed)
 
     def track(self, position: FloatArray, speed: FloatArray) -> None:
@@ -146,7 +146,7 @@ class Simulation:
         self._setpoint[:] = position, speed, np.zeros_like(speed)
 
     def engage_brakes(self) -> None:
-        """Freeze the arm where it is and forget what the servo had wound up."""
+        """Freeze the arm where it is and reset the integrators of the servo."""
         self.plant.data.qvel[:] = 0.0
         for held in ("integral", "overload_s"):
             self.joints.states[held] = 0.0

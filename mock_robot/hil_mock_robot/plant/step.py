@@ -198,7 +198,7 @@ def _fault(views: Views, joints: Joints, outside: Disturbances, setpoint: FloatA
 
 
 def _stamp() -> int:
-    """A number that changes with any file whose functions are compiled into the step."""
+    """Return a number that changes with any file whose functions are compiled into the step."""
     names = ("native", "records", "friction", "servo", "step")
     files = [Path(__file__).with_name(f"{name}.py") for name in names]
     return zlib.crc32(b"".join(file.read_bytes() for file in files))

@@ -23,8 +23,8 @@ class Parser(argparse.ArgumentParser):
 
     Args:
         name: Of the mock.
-        prog: What it was started as; this process's own command when empty.
-        description: What it is.
+        prog: Command by which it was started; this process's own when empty.
+        description: Of the mock, for its help.
 
     Attributes:
         own: Whether it runs as a process of its own, not by way of `hil mock`.
@@ -41,7 +41,7 @@ class Parser(argparse.ArgumentParser):
     def add_arm(
         self, model: str, models: Sequence[str] | None, seed: int, *, start: str = "a safe pose"
     ) -> None:
-        """Options of which arm, where it stands, and what it carries.
+        """Add the options of the arm: model, pose, load.
 
         Args:
             model: By default.
@@ -59,7 +59,7 @@ class Parser(argparse.ArgumentParser):
         add("--mounted-kg", type=float, nargs=4, metavar=("KG", "X", "Y", "Z"), help=hangs)
 
     def add_records(self) -> None:
-        """Options of what goes wrong, and of what is written down."""
+        """Add the options of faults and journal."""
         add = self.add_argument
         add("--faults", type=Path, help="YAML file: what goes wrong, and when")
         add("--journal", type=Path, help="file for what it was told and what it did")
@@ -72,8 +72,8 @@ class WithDefaults(argparse.ArgumentDefaultsHelpFormatter):
 
     def _get_help_string(self, action: argparse.Action) -> str | None:
         default = action.default
-        told = isinstance(default, str | int | float) and default is not False and default != ""
-        return super()._get_help_string(action) if told else action.help
+        shown = isinstance(default, str | int | float) and default is not False and default != ""
+        return super()._get_help_string(action) if shown else action.help
 
 
 def truth_of(given: argparse.Namespace) -> Truth:
@@ -85,17 +85,17 @@ def truth_of(given: argparse.Namespace) -> Truth:
 
 
 class Loop(Protocol):
-    """What serves a mock."""
+    """The loop that serves a mock."""
 
     def run(self) -> None:
-        """Until `end`."""
+        """Serve until `end`."""
 
     def end(self) -> None:
         """Let `run` return; called by a signal handler."""
 
 
 def serve(loop: Loop, ready: str) -> int:
-    """Say that the mock is ready, and run until SIGINT, SIGTERM or SIGHUP."""
+    """Print that the mock is ready, and run until SIGINT, SIGTERM or SIGHUP."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda *_: loop.end())
     print(f"ready: {ready}", flush=True)  # noqa: T201
@@ -110,7 +110,7 @@ def show(answer: object) -> int:
 
 
 def exit_code_of(run: Callable[[], int]) -> int:
-    """Run a mock; what is wrong is said in words on standard error."""
+    """Run a mock and return its exit code; errors are printed to standard error."""
     try:
         return run()
     except HilError as error:

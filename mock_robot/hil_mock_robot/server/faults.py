@@ -36,7 +36,7 @@ REQUIRED: Any = object()
 
 
 class Key:
-    """What the value of one key may be.
+    """Permitted values of one key.
 
     Attributes:
         default: Where nothing is said, or `REQUIRED`.
@@ -91,7 +91,7 @@ M = TypeVar("M", contravariant=True)
 
 
 class Fault(Generic[M]):
-    """One thing that goes wrong, once.
+    """One fault, which happens once.
 
     Attributes:
         kind: What a file or a request calls it.
@@ -150,20 +150,20 @@ class Fault(Generic[M]):
         """
 
     def begin(self, mock: M) -> None:
-        """Let it strike."""
+        """Begin the fault."""
 
     def end(self, mock: M) -> None:
-        """It is over; called only where it `lasts`."""
+        """End the fault; called only where it `lasts`."""
 
     @classmethod
     def make(cls, kind: str, **given: Any) -> Self:
-        """A fault of a kind; keys that are missing have their defaults."""
+        """Return a fault of a kind; missing keys have their defaults."""
         made: Self = cls.kinds[kind](**given)  # type: ignore[assignment]
         return made
 
     @classmethod
     def read(cls, path: Path) -> tuple[Self, ...]:
-        """The faults of a YAML file: `faults:` and a list, or the list alone.
+        """Return the faults of a YAML file: `faults:` and a list, or the list alone.
 
         Raises:
             SpecError: It cannot be read, or a fault in it cannot be.
@@ -182,7 +182,7 @@ class Fault(Generic[M]):
 
     @classmethod
     def all_of(cls, given: Any, name: str = "faults") -> tuple[Self, ...]:
-        """The faults of a list, each of which says when it begins.
+        """Return the faults of a list, each with its beginning.
 
         Raises:
             SpecError: One is unknown or cannot be; the message names it.
@@ -197,7 +197,7 @@ class Fault(Generic[M]):
 
     @classmethod
     def one_of(cls, where: str, given: Any) -> Self:
-        """One fault; without a time it begins now.
+        """Return one fault; without a time it begins now.
 
         Raises:
             SpecError: It is unknown or cannot be.
@@ -244,12 +244,12 @@ class Schedule(Generic[F]):
     """Counts ticks, motions and the like since the mock was started; a reboot changes nothing.
 
     Args:
-        faults: What is to happen.
+        faults: Planned faults.
         tick_s: Device time of a tick.
 
     Attributes:
         ticks: Since the start.
-        lasting: What has begun and is not over.
+        lasting: Faults that have begun and last.
     """
 
     def __init__(self, faults: Sequence[F], tick_s: float) -> None:
@@ -269,7 +269,7 @@ class Schedule(Generic[F]):
         return not self._dated and not self._ends
 
     def add(self, fault: F) -> bool:
-        """One more; whether it begins at once because no time was given."""
+        """Add a fault; return whether it begins at once because no time was given."""
         if any(getattr(fault, what) is not None for what in fault.counted):
             self._waiting.append(fault)
         elif fault.at_s is not None:
@@ -292,7 +292,7 @@ class Schedule(Generic[F]):
         self._dated += [(self.ticks + self._count(each.after_s), each) for each in mine]
 
     def turn(self, ticks: int = 1) -> tuple[list[F], list[F]]:
-        """Let ticks pass: what begins with them, and what is over."""
+        """Let ticks pass; return the faults that begin with them, and those that end."""
         self.ticks += ticks
         begun = [fault for first, fault in self._dated if first <= self.ticks]
         over = [fault for end, fault in self._ends if end <= self.ticks]
@@ -305,19 +305,19 @@ class Schedule(Generic[F]):
         return begun, over
 
     def unchanged(self, most: int) -> int:
-        """How many of the next `most` ticks, this one among them, pass before the next change."""
+        """Return how many of the next `most` ticks, with this one, pass before the next change."""
         ahead = [tick - self.ticks for tick, _ in (*self._dated, *self._ends)]
         return max(1, min([most, *ahead]))
 
     def clear(self, keep: str = "") -> list[F]:
-        """Forget everything but what lasts and is of one kind; returns what was lasting else."""
+        """Forget all but lasting faults of one kind; return the other lasting ones."""
         lasting = [fault for fault in self.lasting if fault.kind != keep]
         self._dated, self._waiting = [], []
         self.mend(keep)
         return lasting
 
     def mend(self, keep: str = "") -> None:
-        """Forget what lasts and is not of one kind; what is to come still comes."""
+        """Forget lasting faults that are not of one kind; later ones still come."""
         self.lasting = [fault for fault in self.lasting if fault.kind == keep]
         self._ends = [(end, fault) for end, fault in self._ends if fault.kind == keep]
 
@@ -342,13 +342,13 @@ class Faults(Generic[T]):
         mock: What of it they act on.
         kinds: The base class of its faults.
         tick_s: Device time of a tick.
-        planned: What is to happen.
+        planned: Planned faults.
         stays: Kind of fault that `clear` leaves to its own end.
         mend: Called by `clear` to forget what a moment's fault still owes.
 
     Attributes:
         mock: As given.
-        listeners: Told of each fault, and whether it begins.
+        listeners: Called with each fault, and whether it begins.
 
     Raises:
         SpecError, CommandRefused: The mock has not what a fault would strike.
@@ -371,11 +371,11 @@ class Faults(Generic[T]):
 
     @property
     def lasting(self) -> list[Fault[T]]:
-        """What has begun and is not over; a moment's matter is not in it."""
+        """Faults that have begun and last."""
         return self._schedule.lasting
 
     def add(self, given: object, where: str = "fault") -> Fault[T]:
-        """One more fault, such as from the side channel; without a time it begins at once.
+        """Add a fault, such as from the side channel; without a time it begins at once.
 
         Raises:
             SpecError, CommandRefused: It is unknown or cannot be.
@@ -387,21 +387,21 @@ class Faults(Generic[T]):
         return fault
 
     def clear(self) -> None:
-        """End what lasts and forget what was to come."""
+        """End lasting faults and forget later ones."""
         for fault in self._schedule.clear(self._stays):
             self._end(fault)
         self._mend()
 
     def plan(self, fault: Fault[T]) -> None:
-        """One more fault that says when it begins."""
+        """Add a fault with its beginning."""
         self._schedule.add(fault)
 
     def mend(self) -> None:
-        """Forget what lasts, because what it struck is new; what is to come still comes."""
+        """Forget lasting faults, because the parts they act on are new; later ones still come."""
         self._schedule.mend()
 
     def began(self, what: str, number: int | None = None, at: int | None = None) -> None:
-        """Something that faults may wait for begins, such as a `motion`.
+        """Note that something begins that faults may wait for, such as a `motion`.
 
         Args:
             what: One of `Fault.counted`.
@@ -413,7 +413,7 @@ class Faults(Generic[T]):
         self._schedule.began(what, number)
 
     def passed(self, ticks: int = 1) -> None:
-        """Ticks of device time have passed."""
+        """Let ticks of device time pass."""
         if self._schedule.idle:
             self._schedule.ticks += ticks
             return
@@ -424,11 +424,11 @@ class Faults(Generic[T]):
             self._begin(fault)
 
     def reach(self, tick: int) -> None:
-        """Device time has come to this tick."""
+        """Let device time pass up to this tick."""
         self.passed(tick - self._schedule.ticks)
 
     def unchanged(self, most: int) -> int:
-        """How many of the next `most` ticks, this one among them, pass before the next change."""
+        """Return how many of the next `most` ticks, with this one, pass before the next change."""
         return self._schedule.unchanged(most)
 
     def _begin(self, fault: Fault[T]) -> None:

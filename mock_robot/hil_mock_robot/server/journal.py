@@ -1,4 +1,4 @@
-"""The journal of a mock: what it was told and what it did, an independent witness of a run.
+"""The journal of a mock: its commands and actions, an independent record of a run.
 
 One JSON object a line. Every line is one `write` to a file opened for appending: it survives the
 death of the process, lines of several robots do not mix, and a signal handler may write one.
@@ -124,7 +124,7 @@ class RestWatch:
     """Follows the arm from the first command to stop to the first moment it stays at rest.
 
     Args:
-        journal: Told when that was, once after each motion.
+        journal: Gets a line once after each motion.
 
     Attributes:
         resting: Whether it is known to be at rest.
@@ -155,7 +155,7 @@ class RestWatch:
     def see(
         self, device_time: FloatArray, qd: FloatArray, until_s: float, spacing_s: float
     ) -> None:
-        """Look at samples, as long as somebody stopped the arm.
+        """Look for rest in samples, once the arm was stopped.
 
         Args:
             device_time: (N,) of each sample [s].
@@ -185,7 +185,7 @@ class RestWatch:
             self._tell(at)
 
     def finish(self) -> None:
-        """The robot is closed: what looked like rest counts as rest."""
+        """End the watch, because the robot is closed: apparent rest counts as rest."""
         if self._cause and self._candidate is not None:
             self._tell(self._candidate)
 
@@ -201,7 +201,7 @@ class RestWatch:
 
 
 class Witness(ABC):
-    """Writes the journal of a mock; a mock's own adds what its clients and its parts tell.
+    """Writes the journal of a mock; subclasses add the events of its clients and parts.
 
     It does not know what a client believes to have done.
 
@@ -214,7 +214,7 @@ class Witness(ABC):
 
     @abstractmethod
     def moment(self) -> Moment:
-        """Now."""
+        """Return the present time and speed."""
 
     def note(self, event: str, **details: Any) -> None:
         """Write a line."""

@@ -20,7 +20,7 @@ class Loop(ABC):
     """One thread for everything.
 
     Attributes:
-        woken: A socket that is readable when somebody wants the loop to turn at once.
+        woken: A socket that is readable once the loop is to turn at once.
     """
 
     def __init__(self) -> None:
@@ -31,14 +31,14 @@ class Loop(ABC):
 
     @abstractmethod
     def turn(self) -> None:
-        """Serve what has come, and let time pass that is due."""
+        """Serve clients, and let due time pass."""
 
     @abstractmethod
     def leave(self) -> None:
-        """Hang up on everybody, and write the last line of the journal."""
+        """Close all connections, and write the last line of the journal."""
 
     def run(self) -> None:
-        """Until `end`."""
+        """Serve until `end`."""
         try:
             while not self._ending:
                 self.turn()
@@ -57,7 +57,7 @@ class Loop(ABC):
             each.close()
 
     def wake(self) -> None:
-        """Let the loop turn at once."""
+        """Wake the loop from waiting."""
         with contextlib.suppress(OSError):
             self._waker.send(b"x")
 
@@ -74,11 +74,11 @@ LONGEST = 200
 
 
 class Mishaps:
-    """What becomes of an exception that nobody foresaw.
+    """Handles unexpected exceptions in the mock.
 
     Attributes:
         contained: Whether the mock goes on.
-        listeners: Told where it happened, and what.
+        listeners: Called with the place and the text.
         counts: Where and what → how often.
     """
 
@@ -88,11 +88,11 @@ class Mishaps:
         self.counts: Counter[tuple[str, str]] = Counter()
 
     def met(self, error: Exception, where: str) -> str:
-        """Tell of it; returns it in plain letters, which nothing that tells it can stumble over.
+        """Report an exception; return its text in ASCII, which any protocol can carry.
 
         Args:
             error: The exception.
-            where: What it ended, such as a program or a client.
+            where: The program or client that it ended, in words.
 
         Raises:
             Exception: The error itself, unless mishaps are contained.
@@ -107,8 +107,8 @@ class Mishaps:
 
     def _tell(self, error: Exception, where: str, what: str) -> None:
         lines = "".join(traceback.format_exception(error))
-        told = lines.encode("ascii", "backslashreplace").decode()
+        text = lines.encode("ascii", "backslashreplace").decode()
         with contextlib.suppress(OSError, ValueError):
-            print(f"mistake of the mock in {where}:\n{told}", file=sys.stderr, flush=True)  # noqa: T201
+            print(f"mistake of the mock in {where}:\n{text}", file=sys.stderr, flush=True)  # noqa: T201
         for listener in self.listeners:
             listener(where, what)

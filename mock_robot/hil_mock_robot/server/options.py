@@ -42,10 +42,10 @@ def factor_of(speed: str) -> float | None:
 
 
 def loopback_of(address: str) -> str:
-    """The address, if nobody outside this computer can reach it.
+    """Return a loopback address, which only this computer can reach.
 
     Raises:
-        SpecError: It is no loopback address: the mock obeys whoever connects.
+        SpecError: It is no loopback address: the mock has no protection against clients.
     """
     try:
         loopback = ipaddress.IPv4Address(address).is_loopback
@@ -94,7 +94,7 @@ def pose_of(degrees: Sequence[float], arm: ArmDescription) -> FloatArray:
 
 
 def mounted_of(given: Sequence[float] | None) -> Payload | None:
-    """What really hangs at the flange (`--mounted-kg`); None for what is declared.
+    """Return the load of `--mounted-kg` at the flange; None for the declared one.
 
     Raises:
         SpecError: It is no body.

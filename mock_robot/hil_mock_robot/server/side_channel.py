@@ -2,8 +2,8 @@
 
 One JSON object a line, each answered by one line, in order; `{"error": …}` when it cannot be. All
 mocks know `fault`, `clear`, `state`, `push` and `mount` (`Requests`); a mock adds its own.
-`SideChannel` serves them over a socket of this user; nobody is waited for. `Tell` is the other end:
-one request from a shell.
+`SideChannel` serves them over a socket of this user, and waits for no client. `Tell` is the other
+end: one request from a shell.
 """
 
 from __future__ import annotations
@@ -59,10 +59,10 @@ NO_SIDE = "none"
 
 
 class Requests(ABC):
-    """What may be asked of a mock.
+    """Requests to a mock.
 
     Args:
-        faults: What goes wrong with it.
+        faults: Of the mock.
         axes: How many joints its arm has.
 
     Attributes:
@@ -81,7 +81,7 @@ class Requests(ABC):
 
     @abstractmethod
     def truth(self) -> Answer:
-        """Where the arm really is and what the mock does, for those who judge."""
+        """Return the true state of arm and mock, for tests."""
 
     @abstractmethod
     def push(self, torque: FloatArray) -> None:
@@ -89,10 +89,10 @@ class Requests(ABC):
 
     @abstractmethod
     def mount(self, payload: Payload | None) -> None:
-        """Hang something to the flange, whatever is declared; None for what is declared."""
+        """Mount a load, whatever is declared; None for the declared one."""
 
     def answer(self, request: object) -> Answer | None:
-        """Do it.
+        """Carry out a request and return its answer.
 
         Raises:
             HilError: It cannot be done.
@@ -106,7 +106,7 @@ class Requests(ABC):
         return self.answers[do](request)
 
     def line(self, line: bytes) -> Answer | None:
-        """The same for a line of JSON; what cannot be done is an answer, too."""
+        """Answer a line of JSON; errors are answers, too."""
         try:
             return self.answer(json.loads(line))
         except HilError as error:
@@ -150,7 +150,7 @@ def torque_in(request: Request, n: int) -> FloatArray:
 
 
 def payload_in(request: Request) -> Payload | None:
-    """What is to hang at the flange; None for whatever is declared.
+    """Return the load to be mounted; None for the declared one.
 
     Raises:
         SpecError: It is no body.
@@ -181,7 +181,7 @@ def factor_in(request: Request) -> float:
 
 
 def listed(values: FloatArray) -> list[float | None]:
-    """An array for JSON; None for what nobody knows."""
+    """Return an array for JSON; None stands for NaN."""
     return [float(value) if math.isfinite(value) else None for value in values]
 
 
@@ -190,7 +190,7 @@ class SideChannel:
 
     Args:
         path: Of its socket; what a dead mock has left there is replaced.
-        requests: What may be asked; all is answered at once.
+        requests: Answers each request at once.
 
     Raises:
         PluginError: It cannot listen there.
@@ -207,7 +207,7 @@ class SideChannel:
         return [self._listening, *self._clients]
 
     def serve(self) -> None:
-        """Answer what was asked, without waiting."""
+        """Answer waiting requests, without waiting for more."""
         ready, _, _ = select.select(self.sockets, [], [], 0.0)
         if self._listening in ready:
             with contextlib.suppress(OSError):
@@ -223,7 +223,7 @@ class SideChannel:
                 line.close()
 
     def close(self) -> None:
-        """Hang up on everybody."""
+        """Close all connections."""
         for each in self.sockets:
             each.close()
         with contextlib.suppress(OSError):
@@ -258,12 +258,12 @@ def _alive(path: Path) -> bool:
 
 
 def usual_path(name: str) -> str:
-    """Where the side channel of a mock is that was told no place."""
+    """Return the default path of a mock's side channel."""
     return os.fspath(runtime_folder() / f"{name}.side")
 
 
 class _Client:
-    """Somebody at the other end of a connection; it is never waited for.
+    """One client; the mock never waits for it.
 
     Args:
         line: The connection.
@@ -275,7 +275,7 @@ class _Client:
         self._unread_s = time.monotonic()
 
     def ask(self, answer: Callable[[bytes], bytes]) -> None:
-        """Take what has come, and note the answers.
+        """Read requests, and keep the answers.
 
         Args:
             answer: To one line.
@@ -292,7 +292,7 @@ class _Client:
             raise ConnectionError
 
     def hear(self, now_s: float) -> None:
-        """Send what it takes at once.
+        """Send answers as far as the client takes them.
 
         Args:
             now_s: Wall time, monotonic.
@@ -335,7 +335,7 @@ class Tell:
     main_keys: Mapping[str, str] = field(default_factory=lambda: {"fault": "kind"})
 
     def add_to(self, parser: argparse.ArgumentParser) -> None:
-        """Let a command line be `tell` and a request, in place of starting a mock."""
+        """Add `tell` with a request to a command line, in place of starting a mock."""
         commands = parser.add_subparsers(
             dest="command", metavar="[tell REQUEST …]", parser_class=argparse.ArgumentParser
         )

@@ -29,7 +29,7 @@ OTHER_VERSION = 0x711
 """ADS return codes."""
 
 NO_PORT = 6
-"""AMS error: nobody has opened the port that a request is for."""
+"""AMS error: the port of a request is not open."""
 
 SHORT = 256
 """Commands and beats are shorter, set-points longer [bytes]."""
@@ -95,7 +95,7 @@ class PlcHandler(AbstractHandler):  # type: ignore[misc]
         return AmsResponseData(answered, bytes(4), data)
 
     def serve(self, command: int, data: bytes) -> bytes:
-        """What one service answers, behind its return code.
+        """Return the answer of one service, after its return code.
 
         Raises:
             Refused: It answers with a return code.
@@ -179,7 +179,7 @@ class PlcHandler(AbstractHandler):  # type: ignore[misc]
 
     def _place(self, group: int, offset: int, size: int) -> int:
         if group == constants.ADSIGRP_SYM_VALBYHND:
-            offset = self._held(offset, size).offset
+            offset = self._symbol_of(offset, size).offset
         elif group != DATA:
             raise Refused(NO_GROUP)
         start = self.memory.at(offset, size)
@@ -187,7 +187,7 @@ class PlcHandler(AbstractHandler):  # type: ignore[misc]
             raise Refused(NO_OFFSET)
         return start
 
-    def _held(self, handle: int, size: int) -> Symbol:
+    def _symbol_of(self, handle: int, size: int) -> Symbol:
         if handle not in self._handles:
             raise Refused(NO_SYMBOL)
         symbol, version = self._handles[handle]
@@ -216,7 +216,7 @@ LONGEST = 8_000_000
 
 
 class Answers(Protocol):
-    """What `pyads.testserver` calls a handler."""
+    """The handler for `pyads.testserver`."""
 
     def handle_request(self, request: object) -> AmsResponseData:
         """The answer to one request."""
@@ -261,14 +261,14 @@ class Links:
             ) from error
 
     def cut(self) -> None:
-        """Hang up on everybody and let nobody in, until `listen`."""
+        """Close all connections and refuse new ones, until `listen`."""
         for line in [*self._received, *([self._listening] if self._listening else [])]:
             line.close()
         self._received.clear()
         self._listening = None
 
     def serve(self, wait_s: float) -> None:
-        """Answer what has come, or comes within that wall time [s]."""
+        """Answer requests that have come, or come within that wall time [s]."""
         listening = [self._listening] if self._listening else []
         readable, _, _ = select.select([*listening, *self._received], [], [], max(0.0, wait_s))
         for line in readable:
@@ -284,7 +284,7 @@ class Links:
         with contextlib.suppress(OSError):
             line, _ = listening.accept()
             line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            line.settimeout(1.0)  # for sending: a client that does not take its answers is let go
+            line.settimeout(1.0)  # for sending: a client that does not take its answers is dropped
             self._received[line] = b""
 
     def _receive(self, line: socket.socket) -> None:

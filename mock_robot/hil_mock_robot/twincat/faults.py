@@ -16,7 +16,7 @@ DRIVE_FAULT = 0x8611
 
 @dataclass(slots=True)
 class Target:
-    """What faults act on.
+    """The parts of the mock that faults act on.
 
     Attributes:
         program, handler, links: Parts of the mock.
@@ -37,7 +37,7 @@ class Target:
 
 
 class PlcFault(Fault[Target], counted=("motion",), example="{kind: silence, at_s: 2.0}"):
-    """A fault of the PLC or of what it moves."""
+    """A fault of the PLC or of its arm."""
 
     motion: int | None = count(None)
 
@@ -48,18 +48,18 @@ def _code(default: int) -> int:
 
 
 class _Stopping(PlcFault):
-    """The arm comes to rest on its brakes; nobody can reset that as long as the cause lasts."""
+    """The arm comes to rest on its brakes; no client can reset that while the cause lasts."""
 
     for_s: float = 0.0
 
     def begin(self, mock: Target) -> None:
-        mock.program.fail(*self.told())
+        mock.program.fail(*self.code_and_text())
         mock.program.commands.causes += 1
 
     def end(self, mock: Target) -> None:
         mock.program.commands.causes -= 1
 
-    def told(self) -> tuple[int, str]:
+    def code_and_text(self) -> tuple[int, str]:
         """Code and text of the fault."""
         raise NotImplementedError
 
@@ -69,7 +69,7 @@ class DriveFault(_Stopping, kind="drive_fault", lasts=True):
 
     code: int = _code(DRIVE_FAULT)
 
-    def told(self) -> tuple[int, str]:
+    def code_and_text(self) -> tuple[int, str]:
         return self.code, f"drive fault {self.code:#06x}"
 
 
@@ -78,7 +78,7 @@ class EmergencyStop(_Stopping, kind="emergency_stop", lasts=True):
 
     for_s: float = float("inf")
 
-    def told(self) -> tuple[int, str]:
+    def code_and_text(self) -> tuple[int, str]:
         return EMERGENCY_STOP, FAULTS[EMERGENCY_STOP]
 
 
@@ -104,7 +104,7 @@ class Silence(PlcFault, kind="silence", lasts=True):
 
 
 class Cut(PlcFault, kind="cut", lasts=True):
-    """All connections are hung up on, and nobody is let in."""
+    """All connections are closed, and new ones are refused."""
 
     for_s: float = 0.0
 
@@ -146,7 +146,7 @@ class OnlineChange(PlcFault, kind="online_change"):
 
 
 class LoseStops(PlcFault, kind="lose_stops", lasts=True):
-    """What is written to `nStop` is acknowledged and lost."""
+    """Writes to `nStop` are acknowledged and lost."""
 
     def begin(self, mock: Target) -> None:
         mock.lasting[self.kind] += 1
@@ -157,7 +157,7 @@ class LoseStops(PlcFault, kind="lose_stops", lasts=True):
 
 
 class Spoil(PlcFault, kind="spoil", lasts=True):
-    """What is written arrives with a bit that is wrong, where it is long."""
+    """Long writes arrive with one wrong bit."""
 
     def begin(self, mock: Target) -> None:
         mock.lasting[self.kind] += 1

@@ -33,7 +33,7 @@ variable was lands in its neighbour."""
 
 @dataclass(frozen=True, slots=True)
 class Symbol:
-    """A variable as ADS tells it.
+    """A variable as ADS describes it.
 
     Attributes:
         name: Qualified, as it is declared.
@@ -53,7 +53,7 @@ class Memory:
 
     Args:
         without: Variables that this PLC does not have.
-        declarations: What it has; the contract's.
+        declarations: Its variables; those of the contract.
 
     Attributes:
         symbols: Lower-case qualified name → symbol: TwinCAT's names have no case.
@@ -118,7 +118,7 @@ ELEMENTARY = {"LREAL": "<f8", "ULINT": "<u8", "UDINT": "<u4", "DINT": "<i4"}
 
 @dataclass(slots=True)
 class Declarations:
-    """What a file declares.
+    """Declarations of a file in structured text.
 
     Attributes:
         constants: Name → value.

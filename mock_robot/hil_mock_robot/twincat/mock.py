@@ -91,8 +91,8 @@ def main(arguments: Sequence[str] | None = None, *, prog: str = "", seed: int = 
 
     Args:
         arguments: Of the command line, by default this process's.
-        prog: What it was started as, for its help.
-        seed: Which individual when nobody says.
+        prog: Command by which it was started, for its help.
+        seed: Default individual.
     """
     given = parser_of(prog, seed).parse_args(arguments)
     return exit_code_of(lambda: _tell(given) if given.command == "tell" else _run(given))
@@ -139,7 +139,7 @@ def _run(given: argparse.Namespace) -> int:
 
 
 def loop_of(given: argparse.Namespace, address: str, factor: float) -> Loop:
-    """The PLC on its port, with what goes wrong and who writes it down.
+    """Return the PLC on its port, with faults, journal and side channel.
 
     Raises:
         SpecError: The file of faults cannot be used, or the pose is none.
@@ -172,7 +172,7 @@ def arm_of(given: argparse.Namespace) -> PlcArm:
 
 
 def fill_info(memory: Memory, arm: PlcArm, given: argparse.Namespace) -> None:
-    """What the PLC says about itself."""
+    """Fill in `stInfo` and the version of the contract."""
     info, maker = memory.view("stInfo")[0], arm.published
     info["fCycleS"], info["fWatchdogS"] = CYCLE_S, WATCHDOG_S
     info["fStopRadS2"], info["fPayloadMax"] = STOP_RAD_S2, maker.payload_max_kg
@@ -191,12 +191,12 @@ def fill_info(memory: Memory, arm: PlcArm, given: argparse.Namespace) -> None:
 
 
 class Loop(loop.Loop):
-    """Serves ADS, lets device time pass, and does what goes wrong.
+    """Serves ADS, lets device time pass, and lets faults happen.
 
     Args:
         program: The PLC's.
-        links: Who talks to it.
-        faults: What goes wrong.
+        links: Connections of clients.
+        faults: Of the mock.
         witness: Writes down what happens.
         factor: Device seconds per second of wall time.
         side: Socket of the side channel, or `NO_SIDE`.
@@ -224,7 +224,7 @@ class Loop(loop.Loop):
         self._passed = 0.0
 
     def turn(self) -> None:
-        """Serve who talks to the PLC, and let the cycles pass that are due."""
+        """Serve clients, and let due cycles pass."""
         self._links.serve(self._last + ROUND_S - time.monotonic())
         now = time.monotonic()
         late = now - self._began - self._passed / self._cycles_per_s
@@ -238,7 +238,7 @@ class Loop(loop.Loop):
         self._pass(due, wall_s)
 
     def leave(self) -> None:
-        """Hang up on everybody."""
+        """Close all connections."""
         self._links.cut()
         if self._side is not None:
             self._side.close()
@@ -254,11 +254,11 @@ class Loop(loop.Loop):
 
 
 class PlcRequests(Requests):
-    """What may be asked of the mock, past ADS.
+    """Requests to the mock by the side channel.
 
     Args:
         loop: Of the mock.
-        faults: What goes wrong with it.
+        faults: Of the mock.
     """
 
     def __init__(self, loop: Loop, faults: Faults[Target]) -> None:
@@ -294,7 +294,7 @@ class PlcRequests(Requests):
 
 
 class Witness(journal.Witness):
-    """Writes down what the program tells."""
+    """Writes the journal of the PLC's events."""
 
     def __init__(self, journal: Journal) -> None:
         super().__init__(journal)
@@ -305,7 +305,7 @@ class Witness(journal.Witness):
         return Moment(time.monotonic(), self._cycles * CYCLE_S, self._speed)
 
     def happened(self, event: str, details: dict[str, Any]) -> None:
-        """The program tells something."""
+        """Note an event of the program."""
         if event == "start":
             self._rest.moved()
         self.note(event, **details)

@@ -36,7 +36,7 @@ MOVING, HOLDING, FAULT, MASKED = 1, 2, 4, 8
 
 
 class Phase(IntEnum):
-    """`nPhase`."""
+    """Values of `nPhase`."""
 
     NOT_READY = 0
     HOLDING = 1
@@ -46,7 +46,7 @@ class Phase(IntEnum):
 
 
 class Command(IntEnum):
-    """`nCommand`."""
+    """Values of `nCommand`."""
 
     TAKE = 1
     LOAD = 2
@@ -60,16 +60,16 @@ Listener = Callable[[str, dict[str, Any]], None]
 
 
 class PlcProgram:
-    """What runs in every cycle of the PLC's task.
+    """The program of the PLC's task.
 
     Args:
-        memory: Its variables; `stInfo` is filled in by somebody else.
-        arm: What it moves.
+        memory: Its variables; the mock fills in `stInfo`.
+        arm: Of this controller.
 
     Attributes:
         listeners: Called with what happens: journal, faults that wait for a motion.
         arm: As given.
-        commands: What it is told.
+        commands: Handles commands of clients.
         phase: What the arm is doing.
     """
 
@@ -83,7 +83,7 @@ class PlcProgram:
         self.restart()
 
     def restart(self) -> None:
-        """Begin anew, as after a reset: nobody has the arm, the ring is empty."""
+        """Restart, as after a reset: no client has the arm, the ring is empty."""
         self.phase, self._segment = Phase.HOLDING, -1
         self._silent_s, self._count = 0.0, int(self._beat["nCount"])
         self._ring = RingWriter(self._memory)
@@ -94,7 +94,7 @@ class PlcProgram:
         self._tell()
 
     def cycles(self, count: int) -> FloatArray:
-        """Let cycles pass; commands are looked at before the first.
+        """Let cycles pass; commands are read before the first.
 
         Returns:
             (N, n) true joint speeds [rad/s].
@@ -120,11 +120,11 @@ class PlcProgram:
         self._count = int(beat["nCount"])
         if state["nSession"] and self._silent_s > self._info["fWatchdogS"]:
             state["nSession"] = 0
-            self.told("watchdog", {"silent_s": round(self._silent_s, 3)})
+            self.tell("watchdog", {"silent_s": round(self._silent_s, 3)})
             self.halt()
 
     def heard(self) -> None:
-        """Somebody has just taken the arm: the silence before that does not count."""
+        """Restart the watchdog, because a client has taken the arm."""
         self._silent_s = 0.0
 
     def begin(self, segment: int, path: FloatArray | None) -> None:
@@ -137,7 +137,7 @@ class PlcProgram:
         self._segment = segment
         if path is not None:
             self._course, self.phase = Trajectory(path), Phase.PLAYING
-        self.told("start", {"by": "hold" if path is None else "start", "segment": segment})
+        self.tell("start", {"by": "hold" if path is None else "start", "segment": segment})
 
     def halt(self) -> None:
         """Come to rest, and play nothing that was loaded."""
@@ -151,7 +151,7 @@ class PlcProgram:
         if self.phase == Phase.FAULT:
             return
         self._state["nFault"], self._state["sFault"] = code, text.encode()[:79]
-        self.told("fault", {"code": code, "text": text})
+        self.tell("fault", {"code": code, "text": text})
         self._ramp()
         self.commands.forget()
         self.phase = Phase.FAULT
@@ -163,15 +163,15 @@ class PlcProgram:
         self.phase = Phase.HOLDING
         self._state["nFault"], self._state["sFault"] = 0, b""
 
-    def told(self, event: str, details: dict[str, Any]) -> None:
-        """Tell the listeners."""
+    def tell(self, event: str, details: dict[str, Any]) -> None:
+        """Pass an event to the listeners."""
         for listener in self.listeners:
             listener(event, details)
 
     def _look_for_stop(self) -> None:
         if self._stop[0] != self._state["nStop"]:
             self._state["nStop"] = self._stop[0]
-            self.told("stop", {"moving": self.phase == Phase.PLAYING})
+            self.tell("stop", {"moving": self.phase == Phase.PLAYING})
             self.halt()
 
     def _pass(self, setpoints: FloatArray) -> FloatArray:
@@ -184,7 +184,7 @@ class PlcProgram:
         return measured.true_qd
 
     def _come_to_rest(self) -> None:
-        """What was commanded is over."""
+        """End the present command."""
         if self.phase == Phase.FAULT:
             self.arm.brake()
         else:
@@ -207,12 +207,12 @@ class Commands:
 
     Args:
         memory: Of the PLC.
-        arm: What it moves.
+        arm: Of this controller.
         program: Does it.
 
     Attributes:
         refuse: A result to refuse the next command with; 0 to look at it.
-        causes: How many causes of a fault are still there: then nobody can take the arm.
+        causes: Number of present causes of a fault: no client can take the arm then.
         loaded: (N,) set-points that passed LOAD: the PLC's own copy. What is written to
             `aSetPoints` after they were checked is never played.
     """
@@ -226,7 +226,7 @@ class Commands:
         self.restart()
 
     def restart(self) -> None:
-        """Begin anew: what was asked for before is not done."""
+        """Restart: an earlier command is not carried out."""
         self.loaded: np.ndarray[Any, Any] = self._set_points[:0]
         self._memory.clear("stAnswer")
         self._done = int(self._command["nCounter"])
@@ -237,7 +237,7 @@ class Commands:
         self.loaded = self._set_points[:0]
 
     def look(self) -> None:
-        """Do what is asked for, once, and answer."""
+        """Carry out a new command, once, and answer."""
         command, answer = self._command, self._answer
         counter = int(command["nCounter"])
         if counter == self._done or counter != command["nCounterEnd"]:
@@ -252,7 +252,7 @@ class Commands:
         self._tell_load()
         answer["nCounter"] = counter
         named = Command(command["nCommand"]).name.lower() if 1 <= command["nCommand"] <= 6 else "?"
-        self._program.told("command", {"by": named, "result": int(result)})
+        self._program.tell("command", {"by": named, "result": int(result)})
 
     def _do(self, command: np.void) -> tuple[int, int]:
         """Result, and the axis that it is about."""
@@ -426,7 +426,7 @@ class Trajectory:
 
 
 class Ramp:
-    """Every joint comes to rest in the same time, the fastest with a given deceleration.
+    """A course on which all joints come to rest together, the fastest with a given deceleration.
 
     Args:
         setpoint: (3, n) from where.
@@ -469,7 +469,7 @@ class Hold:
 
 
 class RingWriter:
-    """Writes rows.
+    """Writes the rows of the ring.
 
     Args:
         memory: Of the PLC.

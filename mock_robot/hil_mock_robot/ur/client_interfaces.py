@@ -49,7 +49,7 @@ ERROR_CODES = {1: 153, 2: 157, RUNAWAY: 153, PROTECTIVE_STOP: 158}
 
 
 class PrimaryService:
-    """Port 30001 tells everything, port 30002 only the state.
+    """Port 30001 sends state and messages, port 30002 only the state.
 
     Args:
         machine: The controller.
@@ -68,7 +68,7 @@ class PrimaryService:
             machine.listeners.append(self._heard)
 
     def accept(self, link: Link) -> PrimarySession:
-        """Tell a client the version; states follow."""
+        """Send the version to a client; states follow."""
         if not self.sessions:
             self._safety = self.machine.modes.safety
         session = PrimarySession(self, link)
@@ -76,7 +76,7 @@ class PrimaryService:
         return session
 
     def watch_safety(self) -> None:
-        """Tell when the safety mode has changed since the last tick."""
+        """Send a message if the safety mode has changed since the last tick."""
         safety = self.machine.modes.safety
         if safety is not self._safety:
             self._safety = safety
@@ -93,10 +93,10 @@ class PrimaryService:
 
 
 class PrimarySession:
-    """One client.
+    """The conversation with one client.
 
     Args:
-        service: What it is connected to.
+        service: Of this session.
         link: The connection.
     """
 
@@ -137,7 +137,7 @@ class PrimarySession:
 
 
 def messages_of(event: Event, now_s: float) -> list[bytes]:
-    """What a primary client is told of an event."""
+    """Return the messages to a primary client about an event."""
     kind, name, text = event.kind, event.name, event.text
     if kind == "program_started":
         return [key_message("PROGRAM_XXX_STARTED", name, now_s)]
@@ -159,12 +159,12 @@ def messages_of(event: Event, now_s: float) -> list[bytes]:
 def _error_messages(event: Event, now_s: float) -> list[bytes]:
     """A runtime exception; where the controller has a word for it, a line for the log explains."""
     place = event.place
-    told = [exception_message(place.token or event.text, now_s, place.line, place.column)]
+    messages = [exception_message(place.token or event.text, now_s, place.line, place.column)]
     if place.token:
-        told.append(text_message(event.text, now_s))
+        messages.append(text_message(event.text, now_s))
     if event.code:
-        told.append(error_message(event.code, Level.FAULT, event.text, now_s))
-    return told
+        messages.append(error_message(event.code, Level.FAULT, event.text, now_s))
+    return messages
 
 
 ROBOT_MESSAGE = 20
@@ -209,14 +209,14 @@ def text_message(text: str, now_s: float) -> bytes:
 
 
 def popup_message(title: str, text: str, now_s: float) -> bytes:
-    """A popup that nobody has to answer (kind 2)."""
+    """Return a popup without an answer (kind 2)."""
     name = title.encode()[:255]
     body = struct.pack(">II???B", 0, 0, False, False, False, len(name))
     return message(2, body + name + text.encode(), now_s, Source.RT_MACHINE)
 
 
 def greeting(series: Series) -> bytes:
-    """What a client is told on connecting: the version (kind 3), and what UR alone reads (12).
+    """Return the first messages to a client: the version (kind 3), and UR's own (12).
 
     As controllers and URSim of 3.10, 5.12 and 5.13 do: no time, no build number.
     """
@@ -392,14 +392,14 @@ BOARD_CB3, BOX_CB3, SUBTYPE_CB3 = 5, 2, 1
 
 @cache
 def kinematics(arm: ArmDescription) -> bytes:
-    """Sub-package 5: DH parameters by which the controller computes, here the published ones."""
+    """Return sub-package 5: DH parameters of the controller, here the published ones."""
     a, alpha, d, theta = arm.dh.T.tolist()
     return struct.pack(">6I24dI", *(UNCALIBRATED,) * 6, *theta, *a, *d, *alpha, 0)
 
 
 @cache
 def configuration(arm: ArmDescription, series: Series) -> bytes:
-    """Sub-package 6: limits, defaults, DH parameters, what hardware it is."""
+    """Return sub-package 6: limits, defaults, DH parameters, kind of hardware."""
     a, alpha, d, theta = arm.dh.T.tolist()
     ranges = [each for pair in zip(arm.q_min, arm.q_max, strict=True) for each in pair]
     motion = [each for pair in zip(arm.qd_max, arm.qdd_max, strict=True) for each in pair]
@@ -494,7 +494,7 @@ def realtime_packet_of(series: Series, outputs: Values) -> RealtimePacket:
 
 
 class RealtimeService:
-    """Port 30003.
+    """The real-time interface, port 30003.
 
     Args:
         machine: The controller.
@@ -519,7 +519,7 @@ class RealtimeSession:
 
     Args:
         machine: The controller.
-        packet: What it is sent.
+        packet: Of the real-time interface.
         link: The connection.
 
     Attributes:
@@ -549,7 +549,7 @@ class RealtimeSession:
 
 
 LARGEST_TEXT = 1_000_000
-"""Bytes of one program; nobody uploads more."""
+"""Longest program [bytes]."""
 
 MOST_LINES = 20_000
 """Of one program: they are all read between two ticks."""
@@ -559,7 +559,7 @@ _SECONDARY = re.compile(r"\s*sec\b")
 
 
 class ScriptInbox:
-    """What one client sends to port 30001, 30002 or 30003.
+    """Script text that one client sends to port 30001, 30002 or 30003.
 
     A program is over with the `end` of its `def`, or with an `end` at the very left where what is
     inside is indented. A statement outside any `def` is a program of its own. Whatever arrives
@@ -645,11 +645,11 @@ SET_SPEED = "set speed "
 
 
 def _nothing(machine: Machine) -> None:
-    """Accepted without effect: the mock has no second arm to simulate, and nobody pushes it."""
+    """Accept a line without effect: it is for simulated arms, or for hand guiding."""
 
 
 def _run(machine: Machine) -> None:
-    """Switch on and release the brakes; an arm that runs already goes on with what it does."""
+    """Switch on and release the brakes; an arm that runs already goes on."""
     machine.modes.release_brakes()
 
 
@@ -669,7 +669,7 @@ CONTROL_LINES: Mapping[str, Callable[[Machine], object]] = {
 
 
 def obey_line(line: str, machine: Machine) -> bool:
-    """Do what a line says; False when it is none of these, and so a program.
+    """Carry out a line; return False if it is none of these commands, thus a program.
 
     Args:
         line: Without comment and space around it.

@@ -59,7 +59,7 @@ CONTINUOUS = frozenset({6, 9, 10, 11, 24, 25, 26, 27, 38, 58, *range(66, 72)})
 
 
 class ControlScript(Threaded):
-    """What plays on the controller while `RTDEControlInterface` is connected.
+    """The program that plays while `RTDEControlInterface` is connected.
 
     Args:
         offset: Number of its first register, 0 or 24.
@@ -99,7 +99,7 @@ class ControlScript(Threaded):
         return super().tick(machine)
 
     def main(self) -> Steps:
-        """Carry out what stands in the command register, until it says stop."""
+        """Carry out the commands in the command register, until the one to stop."""
         self.registers = Registers(self.machine, self._offset)
         self.operation = Operation(self.registers)
         executed = False
@@ -121,7 +121,7 @@ class ControlScript(Threaded):
             yield
 
     def has(self, cb3: tuple[int, int] | None, e: tuple[int, int] | None) -> bool:
-        """Whether the script for this controller has what came with these versions."""
+        """Return whether the script for this controller has a feature of these versions."""
         return self.machine.series.at_least(cb3, e)
 
     def _command(self) -> int:
@@ -141,7 +141,7 @@ class ControlScript(Threaded):
 
 
 def stop_move(script: ControlScript) -> None:
-    """End the asynchronous move, if there is one; somebody else has to stop the arm."""
+    """End the asynchronous move, if there is one; the caller has to stop the arm."""
     if script.runs(MOVE):
         script.kill(MOVE)
         script.operation.finish()
@@ -180,7 +180,7 @@ def _operation(script: ControlScript, what: Callable[[], Steps]) -> Steps:
 
 
 def _movej_ik(script: ControlScript) -> Steps:
-    """The arm's posture is chosen here, not where an asynchronous move comes to its turn."""
+    """Move to a pose; the posture is chosen now, also for a move that begins later."""
     q = joints_of(script.machine, script.registers.doubles(0))
     return _move(script, "j", q, is_pose=False)
 
@@ -194,7 +194,7 @@ def _movel_fk(script: ControlScript) -> Steps:
 
 
 def _stop(script: ControlScript) -> Steps:
-    """Both stopJ and stopL: how it stops is what the script remembers, not what was asked for."""
+    """Stop, for stopJ and stopL alike: the kind of stop is that of the present move."""
     deceleration = script.registers.double(0)
     if script.runs(STOP):
         script.kill(STOP)
@@ -425,7 +425,7 @@ PROTECTIVE_STOP_BY_PROGRAM = 0
 
 
 def _protective_stop(script: ControlScript) -> Steps:
-    """The program pauses before it can say that it is done: the client sees the stop first."""
+    """Stop; the program pauses before it reports completion, so the client sees the stop first."""
     if script.has((3, 8), (5, 0)):
         script.machine.protective_stop(PROTECTIVE_STOP_BY_PROGRAM)
         yield
@@ -579,7 +579,7 @@ TOOL, CUSTOM = 1, 2
 
 
 def _in_base(script: ControlScript, feature: int) -> FloatArray:
-    """(6,) speed, which is given in the axes of a feature, in those of the base."""
+    """Return a speed (6,) in the axes of the base, for one in the axes of a feature."""
     machine, speed = script.machine, script.registers.doubles(0)
     if feature not in (TOOL, CUSTOM):
         return speed

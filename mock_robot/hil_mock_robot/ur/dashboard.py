@@ -32,14 +32,14 @@ REFUSED = (
 )
 
 LONGEST_LINE = 4096
-"""Bytes; nobody means more than that, and nothing is kept of it."""
+"""Longest line [bytes]; longer ones are dropped."""
 
 MOST_PENDING = 64_000
-"""Bytes of replies that nobody reads; the client is hung up on beyond that."""
+"""Bytes of unread replies, beyond which the client is disconnected."""
 
 
 class DashboardService:
-    """Answers what a pendant would be used for.
+    """The dashboard server: commands of the teach pendant.
 
     Args:
         machine: The controller.
@@ -193,7 +193,7 @@ class Pendant:
         return True
 
     def play(self) -> bool:
-        """Start what is loaded, or go on with what is paused; False when nothing plays then."""
+        """Start the loaded program or resume the paused one; return False if nothing plays then."""
         machine = self.machine
         if self.state == "PAUSED":
             machine.resume()
@@ -215,11 +215,11 @@ class Pendant:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """One command.
+    """One command of the dashboard.
 
     Attributes:
         text: What a line begins with.
-        reply: Does it and says what came of it; gets the rest of the line.
+        reply: Carries it out and returns the reply; called with the rest of the line.
         cb3, e: Software it came with; None when that series has none.
         remote: Whether an e-Series controller wants remote control for it.
     """
@@ -299,7 +299,7 @@ def _add_to_log(pendant: Pendant, text: str) -> str:
 
 
 def save_log(_pendant: Pendant, _: str) -> str:
-    """Says it is done; nothing is written."""
+    """Answer that the log is saved; nothing is written."""
     return "Log saved to disk"
 
 
@@ -373,7 +373,7 @@ def set_operational(pendant: Pendant, mode: str) -> str:
 
 
 def clear_operational(pendant: Pendant, _: str) -> str:
-    """Give control of the operational mode back; it stays what it is."""
+    """Give control of the operational mode back; the mode stays as it is."""
     now = pendant.operational
     return f"No longer controlling the operational mode. Current operational mode: '{now}'."
 
@@ -424,14 +424,14 @@ COMMANDS = (
 
 
 def command_of(line: str, series: Series) -> tuple[Command, str] | None:
-    """The command of a line and its argument; None when this software knows no such command.
+    """Return the command of a line and its argument; None if this software has none.
 
     The longest text wins (`load installation` before `load`); case does not matter.
     """
     for command in COMMANDS:
         head, rest = line[: len(command.text)], line[len(command.text) :]
-        said = head.lower() == command.text.lower() and rest[:1] in ("", " ")
-        if said and series.at_least(command.cb3, command.e):
+        matches = head.lower() == command.text.lower() and rest[:1] in ("", " ")
+        if matches and series.at_least(command.cb3, command.e):
             return command, rest.strip()
     return None
 
@@ -502,7 +502,7 @@ PRESSES: Mapping[str, Callable[[Machine], bool]] = {
 
 
 def pressed(machine: Machine, request: Mapping[str, Any]) -> dict[str, Any]:
-    """Press a button; what the controller is like right after.
+    """Press a button; return the controller's state right after.
 
     Raises:
         SpecError: There is no such button.
@@ -569,5 +569,5 @@ Source of this dialogue: RTDE_Python_Client_Library, `examples/rtde_control_loop
 
 
 def disk_of(machine: Machine) -> Mapping[str, Callable[[], Program]]:
-    """File → what makes its program, for this machine."""
+    """Return file → constructor of its program, for this machine."""
     return {"rtde_control_loop.urp": lambda: program_of(CONTROL_LOOP, machine)}

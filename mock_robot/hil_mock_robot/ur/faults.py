@@ -17,14 +17,14 @@ OWNERS = "inputs"
 
 @dataclass(slots=True, eq=False)
 class Target:
-    """What faults act on; `Loop` does to the ports what the attributes say.
+    """The parts of the mock that faults act on; `Loop` applies the attributes to the ports.
 
     Attributes:
         machine: The controller.
         owners: Of RTDE's inputs.
         unplugged: Nothing gets through on any port, in either direction.
         mute: Ports whose clients are neither heard nor answered.
-        dark: The controller is being rebooted: nobody listens and no time passes for it.
+        dark: Whether the controller is rebooting: ports are closed, and no time passes for it.
     """
 
     machine: Machine
@@ -78,7 +78,7 @@ class Unplugged(UrFault, kind="unplugged", lasts=True):
 
 
 class _OnLine(UrFault):
-    """What RTDE packages suffer from as long as it lasts; `Line` does it."""
+    """A fault of RTDE packages, for as long as it lasts; `Line` applies it."""
 
     by_s = 0.0
 
@@ -110,7 +110,7 @@ class Freeze(_OnLine, kind="freeze", lasts=True):
 
 
 class _OfPackages(UrFault):
-    """What the next data packages of each client that is connected suffer from."""
+    """A fault of the next data packages of each connected client."""
 
     packages: int = count()
     by_bytes = 0
@@ -231,7 +231,7 @@ class PayloadRefused(UrFault, kind="payload_refused", lasts=True):
 
 
 class DashboardHang(UrFault, kind="dashboard_hang", lasts=True):
-    """Clients of the dashboard are neither heard nor answered."""
+    """Clients of the dashboard get no answer."""
 
     def begin(self, mock: Target) -> None:
         mock.mute = frozenset({DASHBOARD})
@@ -245,7 +245,7 @@ class UrFaults(Faults[Target]):
 
     Args:
         machine: What suffers.
-        planned: What is to happen.
+        planned: Planned faults.
         owners: Of RTDE's inputs.
     """
 
@@ -260,7 +260,7 @@ class UrFaults(Faults[Target]):
         machine.listeners.append(self._heard)
 
     def tick(self) -> None:
-        """What is due before the machine's next tick."""
+        """Begin and end the faults that are due before the machine's next tick."""
         machine = self.mock.machine
         motion, before, self._motion = machine.motion, self._motion, machine.motion
         if motion is not before and motion is not None and not isinstance(motion, _STOPS):

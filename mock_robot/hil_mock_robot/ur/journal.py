@@ -47,7 +47,7 @@ class Witness(journal.Witness):
     """Writes the journal.
 
     Args:
-        machine: What it looks at.
+        machine: Whose journal it is.
         journal: Where it is written.
 
     Attributes:
@@ -72,16 +72,16 @@ class Witness(journal.Witness):
         return Moment(time.monotonic(), machine.now_s, fastest)
 
     def connected(self, link: TcpLink) -> None:
-        """A client is there."""
+        """Note a client that has connected."""
         self.note("connect", port=link.port, peer=link.peer)
 
     def disconnected(self, link: TcpLink) -> None:
-        """It is gone."""
+        """Note a client that has gone."""
         self._scripts.pop(link, None)
         self.note("disconnect", port=link.port, peer=link.peer)
 
     def commanded(self, number: int) -> None:
-        """A client writes the command register; what it repeats is one line until it is stopped."""
+        """Note a write of the command register; repetitions are one line until a stop."""
         self.sent += number in MOVES
         if number == self._command:
             return
@@ -98,7 +98,7 @@ class Witness(journal.Witness):
             self.note("command", by=name, via="rtde", playing=playing)
 
     def received(self, link: TcpLink, data: bytes) -> None:
-        """Bytes came; what they mean is seen on the dashboard and the ports for scripts."""
+        """Note commands to the dashboard and scripts among received bytes."""
         if link.port == DASHBOARD:
             for line in data.decode("utf-8", "replace").splitlines():
                 self._dashboard(line.strip().lower())
@@ -110,7 +110,7 @@ class Witness(journal.Witness):
                 self._script(text)
 
     def happened(self, event: Event) -> None:
-        """The machine tells something."""
+        """Note an event of the machine."""
         if event.kind not in TOLD:
             return
         details = {"name": event.name, "text": event.text, "code": event.code}
@@ -127,7 +127,7 @@ class Witness(journal.Witness):
         self.note("slip", behind_s=round(slip.behind_s, 6), pace=round(slip.pace, 3))
 
     def ticked(self) -> None:
-        """A tick is over: is the arm at rest?"""
+        """Note after a tick whether the arm is at rest."""
         if self._rest.waiting:
             machine = self._machine
             speed = machine.reading.true_qd[None]
@@ -143,15 +143,15 @@ class Witness(journal.Witness):
     def _script(self, text: bytes) -> None:
         found = NAMED.search(text)
         name = found[1].decode() if found else "line"
-        told: dict[str, Any] = {"via": "script", "bytes": len(text)}
+        details: dict[str, Any] = {"via": "script", "bytes": len(text)}
         if name.encode() == CONTROL:
-            self.note("program", by=name, **told)
+            self.note("program", by=name, **details)
         elif MOVING.search(text):
-            self._started(name, **told)
+            self._started(name, **details)
         elif STOPPING.search(text):
-            self._stopped(name, **told)
+            self._stopped(name, **details)
         else:
-            self.note("program", by=name, **told)
+            self.note("program", by=name, **details)
 
     def _started(self, by: str, **details: Any) -> None:
         self._rest.moved()

@@ -400,7 +400,7 @@ def rotation_vector(frame: Frame) -> Triple:
 
 
 def compose(a: Frame, b: Frame) -> Frame:
-    """Frame `b`, given in `a`, as seen from where `a` is given."""
+    """Return frame `b`, given in `a`, in the frame in which `a` is given."""
     a0, a1, a2, a3, a4, a5, a6, a7, a8, ax, ay, az = a
     b0, b1, b2, b3, b4, b5, b6, b7, b8, bx, by, bz = b
     return (
@@ -423,13 +423,13 @@ def inverted(frame: Frame) -> Frame:
 
 
 def turned(frame: Frame, x: float, y: float, z: float) -> Triple:
-    """A vector given in a frame, in the axes in which that frame is given."""
+    """Return a vector, given in a frame, in the axes in which that frame is given."""
     a0, a1, a2, a3, a4, a5, a6, a7, a8 = frame[:9]
     return a0 * x + a1 * y + a2 * z, a3 * x + a4 * y + a5 * z, a6 * x + a7 * y + a8 * z
 
 
 def pose_trans(a: Numbers, b: Numbers) -> FloatArray:
-    """URScript `pose_trans`: pose `b` (6,), given in `a` (6,), as seen from where `a` is given."""
+    """Return URScript's `pose_trans`: pose `b` (6,), given in `a` (6,), in the frame of `a`."""
     return np.array(pose_from(compose(frame_of(a), frame_of(b))))
 
 

@@ -34,7 +34,7 @@ class Loop(loop.Loop):
         services: What listens.
         pacer: When ticks are due.
         address: Loopback address to listen on.
-        faults: What goes wrong, for those who want that.
+        faults: Of the mock.
         witness: Writes down what happens.
         side: Not part of the controller: it is served whatever is wrong.
 
@@ -65,20 +65,20 @@ class Loop(loop.Loop):
         self._open([*([side] if side is not None else []), *self._services])
 
     def leave(self) -> None:
-        """Hang up on everybody."""
+        """Close all connections."""
         for each in [*self._listening, *self.sessions]:
             each.close()
         if self._witness is not None:
             self._witness.close(set_points=self._witness.sent)
 
     def turn(self) -> None:
-        """Serve what has come, and tick when that is due."""
+        """Serve clients, and tick when that is due."""
         self._suffer()
-        held = self._held()
-        wait = None if held else self._pacer.wait_s()
+        waiting = self._waits_for_client()
+        wait = None if waiting else self._pacer.wait_s()
         self._serve(LONGEST_WAIT_S if wait is None else min(wait, LONGEST_WAIT_S))
         wait = self._pacer.wait_s()
-        if not held and wait is not None and wait <= 0:
+        if not waiting and wait is not None and wait <= 0:
             self._tick()
 
     def _tick(self) -> None:
@@ -94,7 +94,7 @@ class Loop(loop.Loop):
             self._side.ticked()
 
     def _suffer(self) -> None:
-        """Do to the ports what the faults do to them."""
+        """Apply the faults to the ports."""
         struck = self._faults.mock
         now = (struck.unplugged, struck.mute, struck.dark)
         if now == self._suffered:
@@ -114,7 +114,7 @@ class Loop(loop.Loop):
         return self._faults.mock.unplugged or port in self._faults.mock.mute
 
     def _open(self, services: Iterable[Service]) -> None:
-        # RTDE last of the controller's: whoever finds it open finds the others open, too.
+        # RTDE last of the controller's: a client that finds it open finds the others open, too.
         for service in reversed(list(services)):
             self._listening[listen(self._address, service.port)] = service
 
@@ -128,24 +128,24 @@ class Loop(loop.Loop):
                 link.close()
         self._talks.forget_closed()
 
-    def _held(self) -> bool:
-        """Whether time waits for a client; one that does not read at all is hung up on."""
-        held = False
+    def _waits_for_client(self) -> bool:
+        """Return whether time waits for a client; one that does not read at all is disconnected."""
+        waiting = False
         for link, session in self.sessions.values():
             if not session.lossless or not link.pending:
                 continue
             if link.deaf_s > DEAF_S:
                 link.close()
-            held = held or not link.blocked
-        return held and self._pacer.patient
+            waiting = waiting or not link.blocked
+        return waiting and self._pacer.patient
 
     def _serve(self, wait_s: float) -> None:
         self._talks.forget_closed()
         heard = [s for s, (link, _) in self.sessions.items() if not link.blocked]
         ports = [s for s, service in self._listening.items() if not self._unheard(service.port)]
         waiting = [s for s in heard if self.sessions[s][0].pending]
-        everybody = [*ports, *heard, self.woken]
-        readable, writable, _ = select.select(everybody, waiting, [], max(0.0, wait_s))
+        readers = [*ports, *heard, self.woken]
+        readable, writable, _ = select.select(readers, waiting, [], max(0.0, wait_s))
         for each in writable:
             self.sessions[each][0].flush()
         for each in readable:
@@ -161,10 +161,10 @@ READ_BYTES = 65_536
 
 
 class Conversations:
-    """Connections and their sessions; one that we cannot cope with is hung up on.
+    """Connections and their sessions; a connection on which the mock fails is closed.
 
     Args:
-        mishaps: Who hears of that.
+        mishaps: Mistakes of the mock.
         witness: Writes down who comes, goes and says what.
 
     Attributes:
@@ -176,7 +176,7 @@ class Conversations:
         self.sessions: dict[socket.socket, tuple[TcpLink, Session]] = {}
 
     def accept(self, listening: socket.socket, service: Service) -> None:
-        """Somebody has connected."""
+        """Accept a client."""
         with contextlib.suppress(OSError):
             connection, (peer, *_) = listening.accept()
             if len(self.sessions) >= MOST_SESSIONS:
@@ -185,7 +185,7 @@ class Conversations:
             self._welcome(service, TcpLink(connection, peer, service.port))
 
     def receive(self, connection: socket.socket) -> None:
-        """Something has come, or the client has hung up."""
+        """Read from a client, which may have closed the connection."""
         link, session = self.sessions[connection]
         try:
             data = connection.recv(READ_BYTES)
@@ -204,7 +204,7 @@ class Conversations:
             self._give_up(link, error)
 
     def ticked(self) -> None:
-        """The controller has made a tick."""
+        """Let all sessions send the data that are due after a tick."""
         for link, session in list(self.sessions.values()):
             try:
                 session.ticked()
@@ -212,7 +212,7 @@ class Conversations:
                 self._give_up(link, error)
 
     def forget_closed(self) -> None:
-        """Part with those who are not connected any more."""
+        """Drop closed connections."""
         for connection in [s for s, (link, _) in self.sessions.items() if link.closed]:
             link, session = self.sessions.pop(connection)
             try:
@@ -233,6 +233,6 @@ class Conversations:
                 self._witness.disconnected(link)
 
     def _give_up(self, link: TcpLink, error: Exception) -> None:
-        """A mistake of ours: this client has to do without us, the others do not."""
+        """Close a connection after a mistake of the mock; the others stay."""
         link.close()
         self._mishaps.met(error, f"a connection to port {link.port}")

@@ -124,7 +124,7 @@ class Program(Protocol):
 
 
 class Machine:
-    """One controller and its arm; nothing here is safe against a second thread.
+    """One controller and its arm, for one thread.
 
     Args:
         series: Which generation of controller.
@@ -143,7 +143,7 @@ class Machine:
         written: Input → tick in which it was last written.
         watchdog: Set by the program that plays.
         speed_fraction: The speed slider, 0 to 1.
-        listeners: Told every `Event`.
+        listeners: Called with every `Event`.
         watches: Input → called with the value when a client writes it.
         mishaps: Mistakes of the mock in programs and motions.
     """
@@ -188,7 +188,7 @@ class Machine:
         self._advance()
         self.reading = self.body.step(self.setpoint)
         if self.reading.fault:
-            self.protective_stop(self.reading.fault, held=False)
+            self.protective_stop(self.reading.fault, by_servo=False)
         self._heat.look(self)
         self._publishing.publish(self)
 
@@ -201,11 +201,11 @@ class Machine:
             self.watches[name](value)
 
     def move(self, motion: Motion | None) -> None:
-        """Replace what moves the arm; None lets the set-point stand still where it is."""
+        """Replace the motion; None keeps the set-point where it is."""
         self.motion = motion
 
     def play(self, program: Program) -> bool:
-        """Stop what plays and play this; False when nothing may play now."""
+        """Stop the program that plays and play this one; return False if none may play now."""
         self.halt()
         if not self.modes.running:
             self.tell("refused", program.name, "the arm is not running")
@@ -216,7 +216,7 @@ class Machine:
         return True
 
     def halt(self) -> None:
-        """End the program, whatever it does; what still moves comes to rest."""
+        """End the program; a motion that is under way comes to rest."""
         program, self.program = self.program, None
         self.runtime, self.watchdog = RuntimeState.STOPPED, None
         if program is not None:
@@ -235,18 +235,18 @@ class Machine:
         if self.runtime is RuntimeState.PAUSED and self.modes.running:
             self.runtime = RuntimeState.PLAYING
 
-    def protective_stop(self, code: int, *, held: bool = True, text: str = "") -> None:
+    def protective_stop(self, code: int, *, by_servo: bool = True, text: str = "") -> None:
         """Stop because something is wrong.
 
         Args:
             code: A code of `plant.records.FAULTS`, or UR's own.
-            held: The servo still does what it is told; else the mechanical brakes do it.
+            by_servo: Whether the servo stops the arm; else the mechanical brakes do.
             text: In words, where the code does not say it.
         """
         first = self.modes.running
         self.modes.protective_stop(code)
         self.pause()
-        self._come_to_rest(PROTECTIVE_STOP_RAD_S2, held=held)
+        self._come_to_rest(PROTECTIVE_STOP_RAD_S2, by_servo=by_servo)
         if first:
             self.tell("protective_stop", text=text, code=code)
 
@@ -254,7 +254,7 @@ class Machine:
         """The red button."""
         self.modes.emergency_stop()
         self.halt()
-        self._come_to_rest(EMERGENCY_STOP_RAD_S2, held=True)
+        self._come_to_rest(EMERGENCY_STOP_RAD_S2, by_servo=True)
         self.tell("emergency_stop")
 
     def safeguard_stop(self) -> None:
@@ -262,14 +262,14 @@ class Machine:
         if not self.modes.cause("safeguard stop"):
             return
         self.pause()
-        self._come_to_rest(PROTECTIVE_STOP_RAD_S2, held=True)
+        self._come_to_rest(PROTECTIVE_STOP_RAD_S2, by_servo=True)
         self.tell("safeguard_stop")
 
     def fault(self, code: int = 0) -> None:
         """The safety system fails: the arm stops, then its power is cut."""
         self.modes.fault(code)
         self.halt()
-        self._come_to_rest(EMERGENCY_STOP_RAD_S2, held=True)
+        self._come_to_rest(EMERGENCY_STOP_RAD_S2, by_servo=True)
         self.tell("fault", code=code)
 
     def cut_power(self) -> None:
@@ -295,14 +295,14 @@ class Machine:
         self.tell("booted")
 
     def fail(self, text: str, code: int = 0, place: Place = NOWHERE) -> None:
-        """A runtime error of the program: it ends, and says why."""
+        """End the program with a runtime error."""
         self.tell("error", self.program.name if self.program else "", text, code, place)
         self.halt()
 
     def tell(
         self, kind: str, name: str = "", text: str = "", code: int = 0, place: Place = NOWHERE
     ) -> None:
-        """Let everybody who listens know."""
+        """Pass an event to the listeners."""
         event = Event(kind, name, text, code, place)
         for listener in self.listeners:
             listener(event)
@@ -369,8 +369,8 @@ class Machine:
         self.motion = StopJoints(PROTECTIVE_STOP_RAD_S2, self.tick_s)
         return self.motion
 
-    def _come_to_rest(self, deceleration: float, *, held: bool) -> None:
-        if not held:
+    def _come_to_rest(self, deceleration: float, *, by_servo: bool) -> None:
+        if not by_servo:
             self._lock()
         elif self.motion is not None:
             self.motion = StopJoints(deceleration, self.tick_s)

@@ -61,8 +61,8 @@ def main(arguments: Sequence[str] | None = None, *, prog: str = "", seed: int = 
 
     Args:
         arguments: Of the command line, by default this process's.
-        prog: What it was started as, for its help.
-        seed: Which individual when nobody says.
+        prog: Command by which it was started, for its help.
+        seed: Default individual.
     """
     given = parser_of(prog, seed).parse_args(arguments)
     return exit_code_of(lambda: _tell(given) if given.command == "tell" else _run(given))
@@ -109,7 +109,7 @@ def _run(given: argparse.Namespace) -> int:
 
 
 def loop_of(given: argparse.Namespace, machine: Machine, pacer: Pacer, address: str) -> Loop:
-    """The controller on its ports, with what goes wrong and who writes it down.
+    """Return the controller on its ports, with faults, journal and side channel.
 
     Raises:
         SpecError: The file of faults cannot be used.
@@ -140,7 +140,7 @@ def loop_of(given: argparse.Namespace, machine: Machine, pacer: Pacer, address: 
 
 
 def services_of(machine: Machine, rtde: RtdeService | None = None) -> list[Service]:
-    """What listens on the ports of a UR controller."""
+    """Return the services on the ports of a UR controller."""
     return [
         rtde or RtdeService(machine),
         DashboardService(machine),
@@ -187,7 +187,7 @@ def _made_serial(given: argparse.Namespace) -> str:
 
 
 def serial_of(given: str) -> str:
-    """A serial number that was asked for, if controllers have such ones.
+    """Return the serial number of the command line, if controllers can have it.
 
     Raises:
         SpecError: `ur-rtde` and others read a number and refuse what is none.

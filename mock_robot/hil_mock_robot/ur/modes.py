@@ -35,7 +35,7 @@ from enum import IntEnum
 
 
 class RobotMode(IntEnum):
-    """RTDE `robot_mode`."""
+    """Values of RTDE's `robot_mode`."""
 
     NO_CONTROLLER = -1
     DISCONNECTED = 0
@@ -54,7 +54,7 @@ Path = tuple[tuple[RobotMode | None, float], ...]
 
 
 class SafetyMode(IntEnum):
-    """RTDE `safety_mode`."""
+    """Values of RTDE's `safety_mode`."""
 
     NORMAL = 1
     REDUCED = 2
@@ -73,7 +73,7 @@ SAFE = (SafetyMode.NORMAL, SafetyMode.REDUCED)
 
 @dataclass(frozen=True, slots=True)
 class Transition:
-    """What one cause does.
+    """The effect of one cause.
 
     Attributes:
         cause: What happens, or what is asked for.
@@ -185,7 +185,7 @@ class Modes:
                 self._walk(self._ahead)
 
     def cause(self, what: str) -> bool:
-        """Let something happen; False when it leads nowhere from here.
+        """Let a cause take effect; return False if it has none in the present modes.
 
         Args:
             what: A cause of `TRANSITIONS`.
@@ -206,7 +206,7 @@ class Modes:
         return self.cause("power on")
 
     def release_brakes(self) -> bool:
-        """Let the servo hold the arm, switched on first if need be. False when not now."""
+        """Let the servo hold the arm, switched on first if need be; return False if not allowed."""
         return self.cause("release brakes")
 
     def power_off(self) -> None:
@@ -254,7 +254,7 @@ class Modes:
 
 
 class RuntimeState(IntEnum):
-    """RTDE `runtime_state`."""
+    """Values of RTDE's `runtime_state`."""
 
     STOPPING = 0
     STOPPED = 1

@@ -438,7 +438,7 @@ TOO_FAST = 1.001
 """Share of a joint's speed limit that rounding and the step of time may take."""
 
 FEW_RAD = 1e-3
-"""A smaller turn's exponential map is told from its series [rad]."""
+"""Below this angle the exponential map is computed by its series [rad]."""
 
 
 class ToolFollower:
@@ -500,7 +500,7 @@ class ToolFollower:
         return qd
 
     def drift(self, now: Setpoint, twist: FloatArray) -> Setpoint:
-        """The set-point after a tick at whose end the tool moves with a twist (6,).
+        """Return the set-point after a tick at whose end the tool moves with a twist (6,).
 
         Raises:
             MotionImpossible: See `joint_speeds`.

@@ -1,4 +1,4 @@
-"""Motions that cannot be: beyond a joint's range, through a singularity, to no finite number.
+"""Impossible motions: beyond a joint's range, through a singularity, to no finite number.
 
 All end in `MotionImpossible`, with UR's code of a protective stop where there is one.
 """
@@ -27,7 +27,7 @@ class MotionImpossible(CommandRefused):
     """A motion cannot begin or cannot go on; raised by `advance` alone.
 
     Args:
-        text: What is wrong, as the pendant would say it.
+        text: Message, as the pendant would show it.
         code: UR's code of a protective stop, or 0 for a runtime error of the program.
 
     Attributes:
@@ -44,7 +44,7 @@ TOLERANCE_RAD = 1e-6
 
 
 def require_within(arm: ArmDescription, q: FloatArray) -> None:
-    """Refuse a target (6,) [rad] beyond the joint limits.
+    """Raise if a target (6,) [rad] is beyond the joint limits.
 
     Raises:
         MotionImpossible: With code 150.
@@ -55,7 +55,7 @@ def require_within(arm: ArmDescription, q: FloatArray) -> None:
 
 
 def out_of_range(arm: ArmDescription, joint: int) -> MotionImpossible:
-    """What is raised when a joint would leave its range."""
+    """Return the error for a joint that would leave its range."""
     low, high = arm.q_min[joint], arm.q_max[joint]
     return MotionImpossible(
         f"joint {joint + 1} must stay between {low:.4f} and {high:.4f} rad", JOINT_LIMITS
@@ -63,7 +63,7 @@ def out_of_range(arm: ArmDescription, joint: int) -> MotionImpossible:
 
 
 def require_finite(*numbers: float | FloatArray) -> None:
-    """Refuse what is no number.
+    """Raise if a number is not finite.
 
     Raises:
         MotionImpossible: With code 204.
@@ -73,7 +73,7 @@ def require_finite(*numbers: float | FloatArray) -> None:
 
 
 def joint_leaving_range(arm: ArmDescription, q: FloatArray, qd: FloatArray) -> int | None:
-    """The joint that is beyond its range and goes on outwards, or None."""
+    """Return a joint that is beyond its range and moves further out, or None."""
     beyond = (q > arm.q_max + TOLERANCE_RAD) & (qd > 0)
     beyond |= (q < arm.q_min - TOLERANCE_RAD) & (qd < 0)
     return int(beyond.argmax()) if beyond.any() else None

@@ -14,7 +14,7 @@ from typing import Protocol
 
 
 class Pacer(Protocol):
-    """Says when the next tick is due."""
+    """Decides when the next tick is due."""
 
     @property
     def patient(self) -> bool:

@@ -37,7 +37,7 @@ class Piece(Protocol):
         """Where it is at a time."""
 
     def effort(self, t: float, pace: float, change: float) -> float:
-        """Acceleration there as a share of what is allowed; 1 at most as long as the pace is 1.
+        """Return acceleration as a share of the allowed one; at most 1 as long as the pace is 1.
 
         Args:
             t: Motion time [s].
@@ -147,7 +147,7 @@ class Trapezoid:
 
     @property
     def duration(self) -> float:
-        """[s]."""
+        """Duration of the piece [s]."""
         return self.rising + self.cruising + self.falling
 
     def at(self, t: float) -> tuple[float, float, float]:

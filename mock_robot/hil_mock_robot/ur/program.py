@@ -35,7 +35,7 @@ HAND_GUIDED = "The robot cannot move by itself while it is guided by hand"
 
 
 class Threaded:
-    """Implements `Program`; what it does is in the generator `main`.
+    """A `Program` of threads; the first one is the generator `main`.
 
     Args:
         name: What its `def` calls it.
@@ -85,7 +85,7 @@ class Threaded:
         self._controlling = ""
 
     def run_at_once(self, machine: Machine) -> None:
-        """Everything it does before it waits, without being what plays.
+        """Run the program up to its first wait, beside the one that plays.
 
         Raises:
             CommandRefused: A runtime error.
@@ -105,7 +105,7 @@ class Threaded:
         return name in self._threads
 
     def kill(self, name: str) -> None:
-        """End a thread, if it runs; what it moved comes to rest unless somebody moves it on."""
+        """End a thread, if it runs; its motion comes to rest unless another thread goes on."""
         thread = self._threads.pop(name, None)
         if thread is not None:
             moving = self._controlling == name
@@ -177,7 +177,7 @@ def follow(
     Args:
         program: Whose.
         legs: Its moves.
-        reached: Told the index of every move when it begins; a blend belongs to the later one.
+        reached: Called with the index of each move as it begins; blends belong to the later one.
     """
     machine, begun, first = program.machine, -1, 0
 
@@ -249,7 +249,7 @@ def pose_at(machine: Machine, q: Numbers) -> FloatArray:
 
 
 def speed_motion(machine: Machine, *, linear: bool) -> SpeedJ | SpeedL:
-    """What keeps the joints, or the TCP, at a speed."""
+    """Return a motion that keeps the joints, or the TCP, at a speed."""
     if linear:
         return SpeedL(machine.body.arm, machine.tcp, machine.tick_s)
     return SpeedJ(machine.tick_s, machine.body.arm)
@@ -268,7 +268,7 @@ def stop_line(program: Threaded, deceleration: float) -> Steps:
 
 
 def joint_torques(machine: Machine) -> FloatArray:
-    """(6,) what the motors deliver beyond what the controller's model needs [N·m]."""
+    """Return (6,) torque of the motors beyond that of the controller's model [N·m]."""
     beyond = machine.reading.current - machine.reading.current_target
     return np.nan_to_num(machine.body.arm.drive_gains * beyond)
 
@@ -322,7 +322,7 @@ def set_payload(
 
 
 def _inertia(values: Sequence[float]) -> tuple[float, float, float, float, float, float]:
-    """What a rigid body can have: no axis turns harder than the two others together."""
+    """Return an inertia that a rigid body can have: no moment above the sum of the two others."""
     xx, yy, zz, xy, xz, yz = values
     small, middle, large = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     if small < -LEAST_INERTIA or large > small + middle + LEAST_INERTIA or large > LARGEST_INERTIA:
@@ -331,7 +331,7 @@ def _inertia(values: Sequence[float]) -> tuple[float, float, float, float, float
 
 
 def set_tcp(machine: Machine, pose: Sequence[float]) -> None:
-    """Say where the tool centre point is, (6,) in the flange frame.
+    """Set the tool centre point, (6,) in the flange frame.
 
     Raises:
         CommandRefused: It cannot be there.
@@ -414,7 +414,7 @@ class Registers:
         return np.array([self.double(first + i) for i in range(count)])
 
     def put_integer(self, number: int, value: int) -> None:
-        """Tell clients an integer.
+        """Write an integer register for clients.
 
         Raises:
             CommandRefused: There is no such register, or it does not hold such a value.
@@ -425,7 +425,7 @@ class Registers:
         self._out[name] = int(value)
 
     def put_doubles(self, first: int, values: Iterable[float]) -> None:
-        """Tell clients some numbers.
+        """Write number registers for clients.
 
         Raises:
             CommandRefused: There is no such register.
@@ -445,7 +445,7 @@ class Operation:
     """Bits 0–14 progress, 15 running, 16–23 count of changes, 24–30 number of the operation.
 
     Args:
-        registers: Where it is told: integer 2.
+        registers: Where it is reported, in integer 2.
     """
 
     def __init__(self, registers: Registers) -> None:
@@ -480,7 +480,7 @@ REMEMBERED_S = 2.0
 
 
 class Touch:
-    """Looks once a tick; on software that cannot tell contacts it sees nothing.
+    """Detects contacts, once a tick; software without that function detects none.
 
     Attributes:
         force: (3,) on the tool in the base frame, None when nothing pushes [N].
@@ -493,7 +493,7 @@ class Touch:
         self._past: deque[FloatArray] = deque()
 
     def look(self, machine: Machine) -> None:
-        """Note where the joints are, and what pushes."""
+        """Note joint positions and external torques."""
         if not machine.series.at_least(*SINCE):
             return
         self._past.append(machine.reading.q)

@@ -69,7 +69,7 @@ class Leg:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Site:
-    """Whose moves they are.
+    """Arm and tool of the moves.
 
     Attributes:
         arm: Its lengths and limits; None for joint moves without limits.

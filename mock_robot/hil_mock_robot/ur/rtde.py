@@ -1,4 +1,4 @@
-"""RTDE, port 30004: clients choose what they are told every tick, and what they may write.
+"""RTDE, port 30004: clients choose the outputs of every tick, and the inputs that they write.
 
 `RtdeSession` is one client: its recipes, whether it has started, what it sends. `Ownership` lets
 only one client at a time write an input. What an input does besides lying in a register (masked
@@ -39,7 +39,7 @@ class RtdeService:
         machine: Whose values they get.
 
     Attributes:
-        owners: Who has which input.
+        owners: Owner of each input.
         sessions: Clients that are connected.
         dropped: Reason → how many packages of all clients were dropped for it.
     """
@@ -59,7 +59,7 @@ class RtdeService:
         return session
 
     def say(self, level: Level, source: str, text: str) -> int:
-        """Tell every client that has started something in words; returns how many were told."""
+        """Send a text message to every client that has started; return their number."""
         return sum(session.say(level, source, text) for session in self.sessions)
 
 
@@ -79,7 +79,7 @@ Effect = Callable[["Machine"], None]
 
 
 class RtdeSession:
-    """One client.
+    """The conversation with one client.
 
     Args:
         service: Which it is connected to.
@@ -113,7 +113,7 @@ class RtdeSession:
 
     @property
     def lossless(self) -> bool:
-        """Whoever has started gets every package; see `Session`."""
+        """Whether the client has started, and gets every package; see `Session`."""
         return self.started
 
     def received(self, data: bytes) -> None:
@@ -149,7 +149,7 @@ class RtdeSession:
         self._link.close()
 
     def say(self, level: Level, source: str, text: str) -> bool:
-        """Tell this client something in words, if it has started.
+        """Send a text message to this client, if it has started.
 
         Before that clients take the next package for the reply they wait for.
         """
@@ -198,7 +198,7 @@ class RtdeSession:
         return self._recipe(OUTPUT_RECIPE, types)
 
     def _recipe(self, number: int, types: list[str]) -> bytes:
-        """The reply to a set-up of outputs; version 1 knows no ids there."""
+        """Return the reply to a set-up of outputs; version 1 has no ids there."""
         return (b"" if self.protocol == 1 else bytes([number])) + ",".join(types).encode()
 
     def _set_up_inputs(self, payload: bytes) -> bytes:
@@ -242,7 +242,7 @@ class RtdeSession:
             effect(self._machine)
 
     def _drop(self, why: str) -> None:
-        """Count what cannot be understood; each client is told each reason once."""
+        """Count a package that cannot be understood; each client gets each reason once."""
         self.dropped[why] += 1
         self._service.dropped[why] += 1
         if self.dropped[why] == 1:
@@ -255,7 +255,7 @@ class Client(Protocol):
     """An owner that is a connection."""
 
     def hang_up(self) -> None:
-        """End it."""
+        """End the conversation."""
 
 
 class Ownership:
@@ -274,7 +274,7 @@ class Ownership:
         return self._owners.get(name, owner) is owner
 
     def take(self, names: Iterable[str], owner: object) -> bool:
-        """Have all of them, or none if one is somebody else's."""
+        """Take all inputs, or none if one has another owner."""
         names = list(names)
         if not all(self.free(name, owner) for name in names):
             return False
@@ -282,11 +282,11 @@ class Ownership:
         return True
 
     def release(self, owner: object) -> None:
-        """Let go of everything that is this owner's."""
+        """Release all inputs of an owner."""
         self._owners = {name: who for name, who in self._owners.items() if who is not owner}
 
     def of(self, owner: object) -> list[str]:
-        """Names of what is this owner's."""
+        """Return the names of an owner's inputs."""
         return [name for name, who in self._owners.items() if who is owner]
 
 
@@ -332,7 +332,7 @@ _EFFECTS: dict[str, Effect] = {
 
 
 def effects_of(names: Iterable[str]) -> tuple[Effect, ...]:
-    """What a package with these inputs does; each effect once."""
+    """Return the effects of a package with these inputs, each once."""
     return tuple(dict.fromkeys(_EFFECTS[name] for name in names if name in _EFFECTS))
 
 

@@ -42,7 +42,7 @@ class Series:
         return self.version[0] >= 5
 
     def at_least(self, cb3: tuple[int, int] | None, e: tuple[int, int] | None) -> bool:
-        """Whether its software has what came with these versions; None for never."""
+        """Return whether its software has a feature of these versions; None for never."""
         since = e if self.is_e else cb3
         return since is not None and self.version[:2] >= since
 

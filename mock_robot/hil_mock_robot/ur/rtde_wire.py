@@ -30,7 +30,7 @@ LONGEST_TEXT = 255
 
 
 class Kind(IntEnum):
-    """What a package is."""
+    """The kind of a package."""
 
     PROTOCOL_VERSION = ord("V")
     CONTROLLER_VERSION = ord("v")
@@ -43,7 +43,7 @@ class Kind(IntEnum):
 
 
 class Level(IntEnum):
-    """How bad it is what a text message tells."""
+    """The severity of a text message."""
 
     EXCEPTION = 0
     ERROR = 1
@@ -123,7 +123,7 @@ class Framer:
 
 
 class OutputRecipe:
-    """What a client has asked for, ready to be packed every tick.
+    """The outputs that a client gets, ready to be packed every tick.
 
     Args:
         variables: In the order in which they are sent.
@@ -147,7 +147,7 @@ class OutputRecipe:
 
 
 class InputRecipe:
-    """What a client has announced to send.
+    """The inputs that a client has announced.
 
     Args:
         variables: In the order in which they come.
@@ -177,7 +177,7 @@ class InputRecipe:
 
 
 class Line:
-    """What all RTDE clients' connections have in common.
+    """The line that the connections of all RTDE clients share.
 
     Args:
         tick_s: Device time of a tick.
@@ -207,7 +207,7 @@ class Line:
         return end
 
     def hang_up(self, *, stays: bool) -> None:
-        """Hang up on everybody; as soon as they connect, too, while it `stays`."""
+        """Close all connections; new ones as well, while it `stays`."""
         self.cut = stays
         for end in self._ends:
             end.close()
@@ -237,7 +237,7 @@ class Line:
         self._look()
 
     def tick(self) -> None:
-        """Let a tick of device time pass: what was held back may be due."""
+        """Let a tick of device time pass: delayed packages may be due."""
         self.ticks += 1
         if not self.sound:
             for end in self._ends:
@@ -249,7 +249,7 @@ class Line:
         return any(kind == each for each, _ in self._lasting)
 
     def delay(self) -> int:
-        """Ticks for which the next package is held back."""
+        """Return the ticks by which the next package is delayed."""
         ticks = 0
         for kind, by_s in self._lasting:
             most = round(by_s / self._tick_s)
@@ -267,7 +267,7 @@ class LineEnd:
     """One connection; implements `Link`. What is sent at once is one package.
 
     Args:
-        line: What it is part of.
+        line: Shared by all connections.
         link: The connection itself.
 
     Attributes:
@@ -314,7 +314,7 @@ class LineEnd:
         self.release()
 
     def carry(self, data: bytes) -> list[bytes]:
-        """What becomes of a package; replies only get lost."""
+        """Apply the faults to a package; replies can only get lost."""
         line = self._line
         if line.has("silence"):
             return []
@@ -332,7 +332,7 @@ class LineEnd:
         return [data, data] if self._owes("duplicate") else [data]
 
     def release(self) -> None:
-        """Send what is due; nothing overtakes."""
+        """Send packages that are due, in order."""
         while self._held and self._held[0][0] <= self._line.ticks:
             self._link.send(self._held.popleft()[1])
 
@@ -343,7 +343,7 @@ class LineEnd:
 
 
 def _resized(data: bytes, by_bytes: int) -> bytes:
-    """The package with fewer or more bytes than its recipe has, and a header that says so."""
+    """Return a package with fewer or more bytes than its recipe has, and a matching header."""
     size, kind = HEADER.unpack_from(data)
     size = max(HEADER.size + 1, size + by_bytes)
     body = data[HEADER.size : size].ljust(size - HEADER.size, b"\x00")

@@ -33,11 +33,11 @@ MOST_TICKS = 10_000_000
 
 
 class UrRequests(Requests):
-    """What one client may ask of the controller.
+    """Requests of one client to the controller.
 
     Args:
         machine: The controller.
-        faults: What is wrong with it.
+        faults: Of the mock.
         pacer: Of its time.
 
     Attributes:
@@ -114,7 +114,7 @@ class SideService:
     Args:
         port: TCP port.
         machine: The controller.
-        faults: What is wrong with it.
+        faults: Of the mock.
         pacer: Of its time.
     """
 
@@ -137,7 +137,7 @@ class SideService:
             self.pacer.permitted -= session.requests.left
 
     def ticked(self) -> None:
-        """A tick is over, and everybody was sent what was due."""
+        """Count a tick of the present step, after all sessions were served."""
         for session in self._sessions:
             if session.requests.left:
                 try:
@@ -149,12 +149,12 @@ class SideService:
 
 
 class SideSession:
-    """One client.
+    """The conversation with one client.
 
     Args:
-        service: What it is connected to.
+        service: Of this session.
         link: The connection.
-        requests: What it may ask.
+        requests: Answers its requests.
     """
 
     lossless = False
@@ -179,7 +179,7 @@ class SideSession:
             self.close()
 
     def close(self) -> None:
-        """Hang up."""
+        """Close the connection."""
         self._link.close()
 
     def ticked(self) -> None:
@@ -209,5 +209,5 @@ class SideSession:
 
 
 def _size(line: bytes) -> int:
-    """What a request that waits takes [bytes]."""
+    """Return the size of a waiting request [bytes]."""
     return len(line) + LINE_BYTES
