@@ -144,6 +144,18 @@ def test_shared_form_solves_for_all_joints_at_once() -> None:
     np.testing.assert_allclose(model.coefficients_, theirs, atol=1e-8)
 
 
+def test_repeats_weigh_the_joints_of_the_shared_form_in_the_unit_of_their_torques() -> None:
+    model = fitted(method="wls", form="shared", weights="repeats")
+    in_torque = replace(
+        data(),
+        columns={**data().columns, "effort": data()["effort"] * np.array(GAINS)},
+        effort_kind="torque",
+        drive_gains=None,
+    )
+    same = StaticLinear(method="wls", form="shared", weights="repeats").fit(in_torque, nominal())
+    assert model.coefficients_ == pytest.approx(same.coefficients_, rel=1e-6, abs=1e-9)
+
+
 def test_ridge_of_the_shared_form_leaves_offsets_unpenalised() -> None:
     model, (q, current) = (
         fitted(form="shared", method="ridge", alpha=10.0),

@@ -132,7 +132,10 @@ class StaticLinear(PoseClustered):
         (_, W, target) = next(self._observations(data))
         cube = W.reshape(len(data), data.n_joints, -1)
         self._require_excited(data, cube)
-        series = DwellSeries(pose_numbers(dwells), scatter(dwells), np.diff(dwells.offsets))
+        # The efforts' variance, in the squared unit of the target.
+        to_target = self.torque_scale_ / self._unit(np.arange(data.n_joints))
+        variance = scatter(dwells) * to_target**2
+        series = DwellSeries(pose_numbers(dwells), variance, np.diff(dwells.offsets))
         for joints in self._joint_groups():
             columns = self._columns_of(joints)
             yield (
@@ -179,7 +182,7 @@ class DwellSeries:
 
     Attributes:
         pose: (D,) from 0; what is clustered.
-        scatter: (D, n) variance of the samples of each dwell about their mean.
+        scatter: (D, n) variance of the samples of each dwell, in the unit of `Block.y` squared.
         samples: (D,) how many samples there were.
     """
 
