@@ -90,7 +90,7 @@ def test_standardised_penalties_are_scikit_learns_on_scaled_columns(joint) -> No
 
 
 def repeats_weight(joint):
-    """1/variance of the ten samples, drawn towards the mean as four more observations would."""
+    """1/variance of the ten samples, shrunk towards the mean as by four more observations would."""
     variance = data()["effort"][:, joint].reshape(-1, 10).var(axis=1, ddof=1)
     return 13.0 / (4.0 * variance.mean() + 9.0 * variance)
 

@@ -1,4 +1,4 @@
-"""The static paper's five linear estimators on one regressor (eq. 15–24, Table 2, Fig. 4).
+"""The five linear estimators of Khanesar et al. (eq. 15–24, Table 2, Fig. 4) on one regressor.
 
 `static-wls` solves for all joints at once and weights joints; `static-linear` solves R·θ = i as the
 paper does, joint by joint, and reports how sure each parameter is. What is minimised is
@@ -11,14 +11,14 @@ scikit-learn's, whose scaling differs from the paper's printed one (n rows):
 | lasso | Σ rᵢ²/(2n) + α Σ abs(θₖ) | Σ rᵢ² + α/2 (Σ abs(θₖ))² in (23) |
 | elastic-net | Σ rᵢ²/(2n) + α ρ Σ abs(θₖ) + α (1−ρ)/2 Σ θₖ² | α in place of ρ in (24) |
 
-So α = 0.001 is next to nothing for ridge and a lot for lasso. Offsets are never penalised, as in
+So α = 0.001 hardly penalises with ridge but strongly with lasso. Offsets are never penalised, as in
 scikit-learn with an intercept (where the column of ones of eq. 20 ends up).
 
 The paper's WLS weights every sample by 1/σ² with a variance of its own, from the residual of a
 least-squares fit. A variance from one residual is no variance: where the residual happens to be 0
-the weight is infinite, and the fit goes through that sample. So a variance here is that of a whole
-pose or dwell, and it is drawn towards the mean variance of its joint as if `PRIOR_OBSERVATIONS`
-further ones had had that one: (PRIOR·s² + m·v) / (PRIOR + m), v from m observations.
+the weight is infinite, and the fit goes through that sample. So a variance v here is that of the m
+observations of a whole pose or dwell, and it is shrunk towards the mean variance of its joint s²,
+with a weight of `PRIOR_OBSERVATIONS`: (PRIOR·s² + m·v) / (PRIOR + m).
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ Method = Literal["ls", "ridge", "lasso", "elastic-net", "wls"]
 Weights = Literal["paper", "repeats", "pose"]
 
 PENALISED = ("ridge", "lasso", "elastic-net")
-NO_STD_ERROR = "none: a penalty pulls the parameters towards 0 by more than their scatter tells"
+NO_STD_ERROR = "none: a penalty biases the parameters by more than their standard error"
 
 
 class StaticLinear(PoseClustered):
@@ -64,7 +64,10 @@ class StaticLinear(PoseClustered):
     estimator: ClassVar[str] = "static-linear"
 
     method: Method = parameter(
-        "ls", choice, ("ls", *PENALISED, "wls"), doc="See `hil.estimators.static_linear`."
+        "ls",
+        choice,
+        ("ls", *PENALISED, "wls"),
+        doc="Regression method; formulas in `hil.estimators.static_linear`.",
     )
     form: Form = parameter(
         "paper",
@@ -120,7 +123,7 @@ class StaticLinear(PoseClustered):
                 meets efforts that are no currents.
         """
         dwells = self._enough_dwells(dataset, robot)
-        self._take([(*each, self._solved(*each)) for each in self._blocks(dwells)])
+        self._assemble([(*each, self._solve_block(*each)) for each in self._blocks(dwells)])
         return self
 
     def _std_error_facts(self) -> dict[str, Any]:
@@ -152,7 +155,7 @@ class StaticLinear(PoseClustered):
                 ),
             )
 
-    def _solved(self, columns: IntArray, block: Block) -> BlockSolution:
+    def _solve_block(self, columns: IntArray, block: Block) -> BlockSolution:
         if self.method in PENALISED:
             return penalised(block, self.method, self.alpha, self.l1_ratio, self.standardise)
         found = least_squares(block, self.weights if self.method == "wls" else None)
@@ -160,7 +163,7 @@ class StaticLinear(PoseClustered):
         require_rank(found.rank, found.condition, names, block.X)
         return found
 
-    def _take(self, solved: list[tuple[IntArray, Block, BlockSolution]]) -> None:
+    def _assemble(self, solved: list[tuple[IntArray, Block, BlockSolution]]) -> None:
         """Put the regressions' parameters together, in the torque domain."""
         self._allocate()
         for columns, block, found in solved:
@@ -193,7 +196,7 @@ class DwellSeries:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Block:
-    """One regression: joints that share no parameter with any other.
+    """One regression: all joints (`shared`) or one joint (`paper`).
 
     Attributes:
         X: (N, p) regressor, its offset columns included.
@@ -267,9 +270,11 @@ def _weighted_by_residual(block: Block) -> BlockSolution:
 
     All rows of a pose are one observation of its variance: they share what friction left. Where a
     residual is large its weight is small, so its pull does not grow with it. That makes the second
-    fit answer less to an error than its weights suggest, and inherit part of the first fit's error:
-    to first order the scores' sum changes by −Σ κ_g s_g s_gᵀ times the change of the coefficients,
-    s_g = X_gᵀ r_g of pose g, and (B₁ − D)·B₀⁻¹·s joins the score.
+    fit answer less to an error than its weights suggest.
+
+    The weights depend on the first fit. With B₀ = XᵀX and C = Σ_g κ_g s_g s_gᵀ, a change δβ of the
+    first fit changes the summed score by +C·δβ, so C·B₀⁻¹·s joins the score s of each pose
+    (s_g = X_gᵀ r_g, κ_g = 2/((PRIOR + 1)·m_g·v_g²)).
     """
     ones = np.ones_like(block.y)
     first = weighted_least_squares(block.X, block.y)
@@ -277,14 +282,14 @@ def _weighted_by_residual(block: Block) -> BlockSolution:
     weight, gap, prior = np.empty_like(block.y), np.zeros_like(first.bread), PRIOR_OBSERVATIONS
     for joint in block.offset:
         rows = block.joint == joint
-        pose, own = block.pose[rows], residual[rows]
+        pose, joint_residual = block.pose[rows], residual[rows]
         count = np.bincount(pose)
-        mean_square = np.bincount(pose, own**2) / count
-        common = max(float(np.mean(mean_square)), _floor(block))
+        mean_square = np.bincount(pose, joint_residual**2) / count
+        common = max(float(np.mean(mean_square)), _variance_floor(block))
         variance = (prior * common + mean_square) / (prior + 1.0)
         weight[rows] = 1.0 / variance[pose]
         kappa = 2.0 / ((prior + 1.0) * count * variance**2)
-        score = ClusterSums.of(block.X[rows], own, ones[rows], pose).score
+        score = ClusterSums.of(block.X[rows], joint_residual, ones[rows], pose).score
         gap += (score.T * kappa) @ score
     second = weighted_least_squares(block.X, block.y, weight)
     sums = _residual_sums(block, second, weight)
@@ -300,13 +305,13 @@ def _repeat_weights(block: Block) -> FloatArray:
         rows, variance = block.joint == joint, block.series.scatter[:, joint]
         # Quantised samples may all be equal.
         mean = float(variance @ degrees) / max(float(np.sum(degrees)), 1.0)
-        common = max(mean, _floor(block))
-        drawn = (prior * common + degrees * variance) / (prior + degrees)
-        weight[rows] = 1.0 / drawn[block.dwell[rows]]
+        common = max(mean, _variance_floor(block))
+        shrunk = (prior * common + degrees * variance) / (prior + degrees)
+        weight[rows] = 1.0 / shrunk[block.dwell[rows]]
     return weight
 
 
-def _floor(block: Block) -> float:
+def _variance_floor(block: Block) -> float:
     """Variance below which data count as free of noise."""
     return max((1e-12 * float(np.max(np.abs(block.y), initial=0.0))) ** 2, 1e-60)
 
@@ -323,22 +328,25 @@ def penalised(
         l1_ratio: Share of Σ abs(θ) in the elastic net's penalty.
         standardise: Penalise coefficients of columns scaled to standard deviation 1.
     """
-    own = [k for k in range(block.X.shape[1]) if k not in block.offset.values()]
-    mean_X, mean_y = _joint_means(block, block.X[:, own]), _joint_means(block, block.y[:, None])
-    X = block.X[:, own] - mean_X[block.joint]
+    gravity_columns = [k for k in range(block.X.shape[1]) if k not in block.offset.values()]
+    mean_X, mean_y = (
+        _joint_means(block, block.X[:, gravity_columns]),
+        _joint_means(block, block.y[:, None]),
+    )
+    X = block.X[:, gravity_columns] - mean_X[block.joint]
     y = block.y - mean_y[block.joint, 0]
-    scale = np.std(X, axis=0) if standardise else np.ones(len(own))
+    scale = np.std(X, axis=0) if standardise else np.ones(len(gravity_columns))
     scale = np.where(scale > 0, scale, 1.0)
     coefficients = np.zeros(block.X.shape[1])
-    if own:
+    if gravity_columns:
         fitted = _regressor(method, alpha, l1_ratio).fit(X / scale, y)
-        coefficients[own] = fitted.coef_ / scale
+        coefficients[gravity_columns] = fitted.coef_ / scale
     for joint, column in block.offset.items():
-        coefficients[column] = mean_y[joint, 0] - mean_X[joint] @ coefficients[own]
+        coefficients[column] = mean_y[joint, 0] - mean_X[joint] @ coefficients[gravity_columns]
     p = len(coefficients)
-    probe = weighted_least_squares(block.X, block.y)
+    unpenalised = weighted_least_squares(block.X, block.y)
     unknown = np.full((p, p), np.nan)
-    return BlockSolution(coefficients, unknown, unknown[0], probe.rank, probe.condition)
+    return BlockSolution(coefficients, unknown, unknown[0], unpenalised.rank, unpenalised.condition)
 
 
 def _joint_means(block: Block, values: FloatArray) -> FloatArray:
