@@ -24,9 +24,9 @@ from typing import Any
 from benchmarks.fleets.dask_processes import dask_processes
 from benchmarks.fleets.recorded import ROBOTS, recordings
 from benchmarks.fleets.timed import Clock, Fits, Took, nothing, timed
-from hil.core.parallel import one_thread, processes
+from hil.core.parallel import one_thread, processes, spread_over_processes
 from hil.models.drift import identity
-from hil.models.fleet_fits import FitResult, FitSettings, fit_at, fit_runs, results_of
+from hil.models.fleet_fits import FitResult, FitSettings, fit_at, fit_runs
 from hil.models.version import digest_of
 
 HOW = FitSettings("rigid-wls")
@@ -92,7 +92,7 @@ def _round(folder: Path, runs: Sequence[Path]) -> dict[str, Took]:
         _import_there(address)
         made["dask_empty"] = clock.took((), cluster)
         kill = _Kill(cluster[0], len(runs) // 2)
-        fits = fit_runs(runs, HOW, workers=1, dask=address, tell=kill)
+        fits = fit_runs(runs, HOW, workers=1, dask=address, on_progress=kill)
         deaths = sum(process.poll() == -9 for process in cluster)
         made["killed"] = clock.took(fits, cluster, deaths)
     return made
@@ -105,7 +105,7 @@ def _bare(runs: Sequence[Path]) -> Fits:
 
 
 def _empty(workers: int) -> Fits:
-    results_of([nothing] * workers, workers, None, lambda done: None)
+    spread_over_processes([nothing] * workers, workers, lambda results: None, lambda i: None)
     return ()
 
 

@@ -7,6 +7,7 @@ import os
 import pickle
 import shutil
 import signal
+import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future
 from contextlib import contextmanager
@@ -14,6 +15,7 @@ from dataclasses import replace
 from functools import partial
 from operator import mul
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -21,8 +23,8 @@ from fleet_parts import FITTED, written
 from typer.testing import CliRunner
 
 from hil.cli.app import app
-from hil.core.errors import DataError, FitError
-from hil.core.parallel import one_thread
+from hil.core.errors import DataError
+from hil.core.parallel import one_thread, spread_over_processes
 from hil.data.dataset import Dataset
 from hil.maintenance.fleet_specs import experiment_for, spec_for
 from hil.models import fleet_fits
@@ -34,10 +36,10 @@ from hil.models.fleet_fits import (
     fit_runs,
     fit_split,
     register_fit,
-    results_of,
     split_of,
     store_fits,
 )
+from hil.models.fleet_survey import _model_of
 from hil.models.model_registry import Registry
 from hil.spec.experiment import ContradictedLimit, HoldOut, RmseLimit
 from hil.workflow.running import run as run_experiment
@@ -109,9 +111,9 @@ def test_a_worker_that_sees_no_run_is_sent_the_samples_and_finds_the_same_bits(
 
     monkeypatch.setattr(fleet_fits, "cluster", hidden)
     counts: list[int] = []
-    found = fit_runs(runs, HOW, workers=1, dask="tcp://127.0.0.1:8786", tell=counts.append)
+    found = fit_runs(runs, HOW, workers=1, dask="tcp://127.0.0.1:8786", on_progress=counts.append)
     assert [one.files for one in found] == [one.files for one in results]
-    assert counts[-1] == len(runs)
+    assert counts == [0, 2]
 
 
 def test_another_run_at_the_same_path_is_not_taken_for_it(runs: list[Path]) -> None:
@@ -136,13 +138,17 @@ def test_a_dask_cluster_finds_the_same_bits_by_path_and_by_samples(
 
 def test_what_a_dead_process_took_along_is_computed_again(tmp_path: Path) -> None:
     tasks = [partial(mul, 2, 1), partial(once, str(tmp_path / "mark")), partial(mul, 2, 3)]
-    assert results_of(tasks, 2, None, lambda done: None) == [2, 42, 6]
+    assert spread_over_processes(tasks, 2, lambda done: None, lambda i: None) == [2, 42, 6]
 
 
-def test_what_always_kills_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fleet_fits, "TRIES", 1)
-    with pytest.raises(FitError, match="1 times a process died"):
-        results_of([always], 1, None, lambda done: None)
+def test_a_fit_that_always_kills_its_process_leaves_the_others_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    tasks = {"a": always, "b": partial(FitResult, "model"), "c": partial(FitResult, "model")}
+    monkeypatch.setattr(fleet_fits, "_task", lambda run, settings: tasks[run.name])
+    found = fit_runs([Path(name) for name in tasks], HOW, workers=1)
+    assert "its process died 3 times" in found[0].error
+    assert [one.folder for one in found] == ["", "model", "model"]
 
 
 def test_a_run_that_cannot_be_fitted_leaves_the_others_alone(
@@ -191,6 +197,28 @@ def test_a_first_model_becomes_champion_the_next_its_challenger(
     more = fit_runs(runs[:1], FitSettings("rigid-irls"), workers=1)
     other = register_fit(*store_fits(runs[:1], more, tmp_path), registry)
     assert (other.registered, other.role) == ("v2", "challenger")
+
+
+def test_the_model_stored_last_is_that_of_the_survey(runs: list[Path], tmp_path: Path) -> None:
+    fleet: Any = SimpleNamespace(models=tmp_path)
+    for name in ("first-1", "other-1", "first-1"):
+        store_fits(runs[:1], [FitResult(name, {"model.json": b"{}"})], tmp_path)
+        assert _model_of(fleet, runs[0]) == tmp_path / "a" / name
+        time.sleep(0.02)  # file systems tell no shorter times apart
+
+
+def test_a_name_that_cannot_be_registered_costs_no_other_robot(
+    runs: list[Path], tmp_path: Path
+) -> None:
+    registry = tmp_path / "registry"
+    registry.mkdir()
+    (registry / "a").write_text("no folder", "utf-8")
+    more = ["-e", "rigid-wls", "-o", str(tmp_path), "--workers", "1", "--json", "--register"]
+    named = [*map(str, runs), "--registry", str(registry)]
+    done = CliRunner().invoke(app, ["fleet", "fit", *named, *more])
+    assert done.exit_code == 11
+    found = json.loads(done.stdout)["fits"]
+    assert [one["registered"] for one in found] == [None, "v1"]
 
 
 def test_what_misses_its_criteria_or_its_runs_becomes_neither(

@@ -17,11 +17,13 @@ from hil.cli.app import app
 from hil.core.errors import DataError
 from hil.core.parallel import one_thread
 from hil.maintenance.fleet_specs import experiment_for, spec_for
+from hil.models import fleet_survey
 from hil.models.drift import Probe
 from hil.models.drift_features import Features, feature_names
 from hil.models.fleet_fits import FitResult, RobotFit, register_fit
 from hil.models.fleet_outliers import compare_robots
-from hil.models.fleet_survey import Survey, SurveyedRobot, probe_fleet, survey_fleet
+from hil.models.fleet_probes import probe_fleet
+from hil.models.fleet_survey import Survey, SurveyedRobot, survey_fleet, survey_robot
 from hil.models.model_registry import Registry
 from hil.recording.run_group import FleetGroup, Member
 from hil.report.fleet_page import fleet_page, standing_out
@@ -172,6 +174,27 @@ def test_runs_of_a_fleet_are_judged_as_probes_of_its_champions(fleet: Path, tmp_
     registry.promote("a", version.number, reason="new", evidence={}, instead_of=1)
     found = survey_fleet(fleet, registry, workers=1)
     assert [one.probe is None for one in found.robots] == [True, False]
+
+
+def test_models_of_another_estimator_or_that_break_down_are_not_compared(
+    fleet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def state(run: Path, model: Path) -> tuple[str, tuple[str, ...], np.ndarray, np.ndarray]:
+        if "c" in run.name:
+            raise ZeroDivisionError("a plug-in")
+        return f"estimator-{run.name}", JOINTS, np.ones(6), np.ones(6)
+
+    monkeypatch.setattr(fleet_survey, "_friction", state)
+    robots = [survey_robot(Path(name), tmp_path) for name in ("a", "a", "b", "c")]
+    assert robots[3].problem == "its model broke down: ZeroDivisionError: a plug-in"
+    compared = fleet_survey._of_one_estimator(robots)
+    assert [bool(np.isfinite(one.friction).any()) for one in compared] == [True, True, False, False]
+    assert "its model is of estimator-b, others are of estimator-a" in compared[2].problem
+
+
+def test_a_joint_without_temperature_has_no_mean() -> None:
+    mean = fleet_survey._known_mean(np.array([[1.0, np.nan], [3.0, np.nan]]))
+    np.testing.assert_array_equal(mean, [2.0, np.nan])
 
 
 def test_a_member_that_was_deleted_or_damaged_costs_nobody_else(

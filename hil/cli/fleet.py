@@ -183,7 +183,7 @@ def fit(
     """Fit every robot by itself, on processes of this computer or a Dask cluster."""
     from hil import api
     from hil.cli.progress import MovingLine
-    from hil.core import FitError, checked_address, cores
+    from hil.core import FitError, RegistryError, checked_address, cores
     from hil.models import FitSettings, Registry, fit_runs, register_fit, store_fits
 
     sources, home = _runs_of(what, runs)
@@ -195,12 +195,18 @@ def fit(
             settings,
             workers=workers or cores(),
             dask=address,
-            tell=lambda done: line.show(f"{done} of {len(sources)} fitted"),
+            on_progress=lambda done: line.show(f"{done} of {len(sources)} fitted"),
         )
         line.end(keep=True)
     fits = store_fits(sources, results, out or home)
+    unwritten = []
     if register:
-        fits = [register_fit(one, Registry(registry)) for one in fits]
+        for i, one in enumerate(fits):
+            try:
+                fits[i] = register_fit(one, Registry(registry))
+            except RegistryError as refused:  # one damaged name must not cost the other robots
+                fits[i] = replace(one, refused=refused.message)
+                unwritten.append(one.robot)
     if json:
         print_json({"fits": [one.to_dict() for one in fits]})
     else:
@@ -208,7 +214,8 @@ def fit(
     if failed := [one for one in fits if one.error]:
         lack = "are not registered" if register else "have no model"
         first = f"{failed[0].robot}: {failed[0].error}"
-        error = FitError(
+        kind = RegistryError if len(unwritten) == len(failed) else FitError
+        error = kind(
             f"{len(failed)} of {len(fits)} robots {lack}; {first}",
             hint="see the robots named above; the others are fitted",
         )

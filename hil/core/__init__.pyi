@@ -66,6 +66,7 @@ from .parallel import one_thread as one_thread
 from .parallel import processes as processes
 from .parallel import spread as spread
 from .parallel import spread_over as spread_over
+from .parallel import spread_over_processes as spread_over_processes
 from .plugins import Named as Named
 from .plugins import absent_extras as absent_extras
 from .plugins import describe_all as describe_all

@@ -1,8 +1,9 @@
 """Parallel work: independent tasks on any `concurrent.futures.Executor` (decision record 0006).
 
 `processes` are workers of this computer, `cluster` those of a Dask scheduler (extra `fleet`), and
-`spread` computes tasks on either, longest first, and again where a worker died. Results do not
-depend on the place: workers and the caller alike compute with one thread of BLAS and torch
+`spread` computes tasks on either, longest first, and again where a worker of a cluster died. A dead
+process breaks its whole pool: `spread_over_processes` starts another one. Results do not depend on
+the place: workers and the caller alike compute with one thread of BLAS and torch
 (`one_thread`), as sums in another order differ in their last bits.
 """
 
@@ -20,6 +21,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import (
     FIRST_COMPLETED,
+    BrokenExecutor,
     CancelledError,
     Executor,
     Future,
@@ -122,7 +124,7 @@ def _one_torch_thread() -> Iterator[None]:
 
 
 TRIES = 3
-"""A worker may die of something else than the task it computes."""
+"""Attempts per task: a worker can die for reasons unrelated to its task."""
 
 LOOK_S = 5.0
 """How often somebody looks whether there are workers left while nothing ends."""
@@ -162,6 +164,52 @@ def spread(
             future.cancel()
         raise
     return [going.results[i] for i in range(len(runs))]
+
+
+def spread_over_processes(
+    tasks: Sequence[Callable[[], Any]],
+    workers: int,
+    ended: Callable[[Mapping[int, Any]], None],
+    lost: Callable[[int], Any],
+) -> list[Any]:
+    """Return the results of tasks, in their order, computed by processes of this computer.
+
+    A process that dies ends the others of its pool, whatever they compute; a new pool computes
+    what is missing. The last attempt gives each task a process of its own, one after the other: it
+    has all the memory, and no other task can end it.
+
+    Args:
+        tasks: Independent of each other, and picklable.
+        workers: Number of processes.
+        ended: Called with the results so far by the number of their task.
+        lost: Returns the result of a task whose process has died in every attempt, by its number.
+    """
+    results: dict[int, Any] = {}
+
+    def compute(numbers: Sequence[int]) -> None:
+        """Compute tasks until all are done or the pool breaks because a process died."""
+
+        def keep(new: Mapping[int, Any]) -> None:
+            results.update({numbers[i]: result for i, result in new.items()})
+            ended(results)
+
+        pool = processes(min(workers, len(numbers)))
+        try:
+            spread([tasks[i] for i in numbers], [1.0] * len(numbers), pool, keep)
+        except BrokenExecutor:
+            pool.shutdown(wait=True, cancel_futures=True)
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+        else:
+            pool.shutdown()
+
+    for attempt in range(1, TRIES + 1):
+        missing = [i for i in range(len(tasks)) if i not in results]
+        for numbers in [[i] for i in missing] if attempt == TRIES else [missing]:
+            if numbers:
+                compute(numbers)
+    return [results[i] if i in results else lost(i) for i in range(len(tasks))]
 
 
 class _Going:
@@ -209,7 +257,7 @@ class _Going:
         if self._deserted + 1 >= PATIENCE:
             raise FitError(
                 f"no worker has been left for {PATIENCE * LOOK_S:.0f} s",
-                hint="start workers again, then make the study again",
+                hint="start workers and repeat the command",
             )
         return self._deserted + 1
 

@@ -19,10 +19,10 @@ from .fleet_fits import store_fits as store_fits
 from .fleet_outliers import FAMILY_WISE as FAMILY_WISE
 from .fleet_outliers import FEWEST as FEWEST
 from .fleet_outliers import Comparison as Comparison
-from .fleet_survey import RobotProbe as RobotProbe
+from .fleet_probes import RobotProbe as RobotProbe
+from .fleet_probes import probe_fleet as probe_fleet
 from .fleet_survey import Survey as Survey
 from .fleet_survey import SurveyedRobot as SurveyedRobot
-from .fleet_survey import probe_fleet as probe_fleet
 from .fleet_survey import survey_fleet as survey_fleet
 from .log import CHAMPION_EVENTS as CHAMPION_EVENTS
 from .log import LOG_FILE as LOG_FILE

@@ -2,15 +2,16 @@
 
 Fits are computed by processes of this computer or by a Dask cluster, equal to the bit wherever they
 are computed (`fit_runs`). A worker that sees the run directory reads it itself; to one that does
-not, the samples are sent (`RunToSend`). A robot whose fit fails leaves the others alone: its
-`FitResult` says why. `store_fits` stores the models, `register_fit` registers one.
+not, the samples are sent (`RunToSend`). If one robot's fit fails or its process dies, its
+`FitResult` says why, and the others are fitted. `store_fits` stores the models, `register_fit`
+registers one.
 """
 
 from __future__ import annotations
 
+import os
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import BrokenExecutor, Executor
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -19,13 +20,12 @@ from typing import Any
 from hil.core import (
     TRIES,
     DataError,
-    FitError,
     HilError,
     cluster,
     json_document,
-    processes,
     read_json,
     spread,
+    spread_over_processes,
     write_whole,
 )
 from hil.dynamics import load_model
@@ -59,7 +59,7 @@ class FitSettings:
     parameters: Mapping[str, Any] = field(default_factory=dict)
 
 
-OnDone = Callable[[int], object]
+Progress = Callable[[int], object]
 """Called with the number of tasks that are done."""
 
 
@@ -69,7 +69,7 @@ def fit_runs(
     *,
     workers: int,
     dask: str | None = None,
-    tell: OnDone = lambda done: None,
+    on_progress: Progress = lambda done: None,
 ) -> list[FitResult]:
     """Fit every run by itself; return the results in the order of the runs.
 
@@ -77,24 +77,37 @@ def fit_runs(
         runs: Run directories.
         settings: What to fit.
         workers: Number of processes of this computer.
-        dask: Address of a Dask scheduler whose workers take their place.
-        tell: Called with the number of fits that are done.
+        dask: Address of a Dask scheduler; its workers are used instead of local processes.
+        on_progress: Called with the number of fits that are done.
 
     Raises:
-        FitError: Workers died again and again, or none is left.
+        FitError: Workers of the cluster died again and again, or none is left.
         PluginError: Dask is not installed.
     """
     paths = [run.resolve() for run in runs]
     tasks = [_task(run, settings) for run in paths]
     with cluster(dask) as executor:
-        results = results_of(tasks, workers, executor, tell)
+
+        def computed(
+            tasks: Sequence[Callable[[], FitResult | None]], before: int
+        ) -> list[FitResult | None]:
+            def count(results: Mapping[int, FitResult | None]) -> None:
+                on_progress(before + sum(one is not None for one in results.values()))
+
+            if executor is not None:
+                return spread(tasks, [1.0] * len(tasks), executor, count)
+            return spread_over_processes(tasks, workers, count, lambda i: FitResult(error=DIED))
+
+        results = computed(tasks, 0)
         # None: the worker does not see that run, so it gets the samples.
-        unseen = [i for i, one in enumerate(results) if one is None]
-        sent = [RunToSend(paths[i], settings) for i in unseen]
-        more = results_of(sent, workers, executor, lambda done: tell(len(runs) - len(sent) + done))
-        for i, one in zip(unseen, more, strict=True):
-            results[i] = one
-    return results
+        unseen = [i for i, result in enumerate(results) if result is None]
+        sent = computed([RunToSend(paths[i], settings) for i in unseen], len(runs) - len(unseen))
+        for i, result in zip(unseen, sent, strict=True):
+            results[i] = result
+    return [result for result in results if result is not None]
+
+
+DIED = f"its process died {TRIES} times, the last time alone: probably out of memory"
 
 
 def _task(run: Path, settings: FitSettings) -> Callable[[], FitResult | None]:
@@ -131,7 +144,7 @@ class RunSplit:
 
     Attributes:
         parts: To fit to and to judge on, as the run's spec says.
-        serial: Of the robot.
+        serial: Serial number of the robot.
         accept: Criteria of the run's spec.
     """
 
@@ -195,10 +208,10 @@ def fit_at(run: Path, uid: str, settings: FitSettings) -> FitResult | None:
         seen = identity(run)[0] == uid
     except HilError:
         seen = False
-    return _tried_fit(lambda: fit_split(split_of(run, settings), settings)) if seen else None
+    return _fit_or_error(lambda: fit_split(split_of(run, settings), settings)) if seen else None
 
 
-def _tried_fit(fit: Callable[[], FitResult]) -> FitResult:
+def _fit_or_error(fit: Callable[[], FitResult]) -> FitResult:
     try:
         return fit()
     except HilError as error:
@@ -210,7 +223,9 @@ def _tried_fit(fit: Callable[[], FitResult]) -> FitResult:
 
 @dataclass(frozen=True, slots=True)
 class RunToSend:
-    """A task that fits a run which the worker does not see: pickling it reads the samples.
+    """Fit task for a worker without access to the run directory.
+
+    The samples are read when it is pickled.
 
     Attributes:
         run: Its directory, here.
@@ -222,7 +237,7 @@ class RunToSend:
 
     def __call__(self) -> FitResult:
         """Fit the run in this process."""
-        return _tried_fit(lambda: fit_split(split_of(self.run, self.settings), self.settings))
+        return _fit_or_error(lambda: fit_split(split_of(self.run, self.settings), self.settings))
 
     def __reduce__(self) -> tuple[Any, ...]:
         try:
@@ -232,66 +247,7 @@ class RunToSend:
 
 
 def _fit_sent(split: RunSplit, settings: FitSettings) -> FitResult:
-    return _tried_fit(lambda: fit_split(split, settings))
-
-
-def results_of(
-    tasks: Sequence[Callable[[], Any]], workers: int, executor: Executor | None, tell: OnDone
-) -> list[Any]:
-    """Return the results of tasks, in their order; tasks that die with their process are repeated.
-
-    Args:
-        tasks: Independent of each other, and picklable.
-        workers: Number of processes of this computer.
-        executor: Takes their place, and stays open.
-        tell: Called with the number of tasks that are done.
-
-    Raises:
-        FitError: Workers died again and again.
-    """
-
-    def count(results: Mapping[int, Any]) -> None:
-        tell(len(results))
-
-    if executor is not None:
-        return spread(tasks, [1.0] * len(tasks), executor, count)
-    results: dict[int, Any] = {}
-    for _ in range(TRIES):
-        left = [i for i in range(len(tasks)) if i not in results]
-        if not left:
-            break
-        _on_processes([tasks[i] for i in left], left, workers, results, tell)
-    if len(results) < len(tasks):
-        raise FitError(
-            f"{TRIES} times a process died while fitting",
-            hint="they may be out of memory: --workers 1 needs the least of it",
-        )
-    return [results[i] for i in range(len(tasks))]
-
-
-def _on_processes(
-    tasks: Sequence[Callable[[], Any]],
-    numbers: Sequence[int],
-    workers: int,
-    results: dict[int, Any],
-    tell: OnDone,
-) -> None:
-    """Compute tasks until all are done or a process dies, which ends the others of its pool."""
-
-    def keep(new: Mapping[int, Any]) -> None:
-        results.update({numbers[i]: result for i, result in new.items()})
-        tell(len(results))
-
-    pool = processes(min(workers, len(tasks)))
-    try:
-        spread(tasks, [1.0] * len(tasks), pool, keep)
-    except BrokenExecutor:
-        pool.shutdown(wait=True, cancel_futures=True)
-    except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
-        raise
-    else:
-        pool.shutdown()
+    return _fit_or_error(lambda: fit_split(split, settings))
 
 
 @dataclass(frozen=True, slots=True)
@@ -347,7 +303,10 @@ def robot_of(run: Path) -> str:
 
 
 def store_fits(runs: Sequence[Path], results: Sequence[FitResult], out: Path) -> list[RobotFit]:
-    """Store models as `out/ROBOT/<estimator>-<digest>`; equal files stay as they are.
+    """Store models as `out/ROBOT/<estimator>-<digest>`.
+
+    Equal files are not written again, but `model.json` gets the present time in any case: the model
+    stored last counts as the robot's (`survey_fleet`).
 
     Raises:
         OSError: They cannot be written.
@@ -363,6 +322,7 @@ def store_fits(runs: Sequence[Path], results: Sequence[FitResult], out: Path) ->
         for name, content in result.files.items():
             if not (folder / name).exists() or (folder / name).read_bytes() != content:
                 write_whole(folder / name, content)
+        os.utime(folder / "model.json")
         fits.append(RobotFit(robot, run, result, folder, verdict=verdict))
     return fits
 
@@ -380,12 +340,12 @@ def register_fit(fit: RobotFit, registry: Registry) -> RobotFit:
     if fit.model is None:
         return fit
     facts = facts_of(fit.model, [fit.run])
-    if refused := _of_another(fit.robot, facts["serial"], registry):
+    if refused := _serial_conflict(fit.robot, facts["serial"], registry):
         return replace(fit, refused=refused)
-    bad = fit.result.passed is False or fit.verdict == "rejected"
-    version = registry.register(fit.robot, fit.model, facts, challenger=not bad)
+    rejected = fit.result.passed is False or fit.verdict == "rejected"
+    version = registry.register(fit.robot, fit.model, facts, challenger=not rejected)
     now = registry.aliases(fit.robot)
-    if fit.result.passed and not bad and not now.champion:
+    if fit.result.passed and not rejected and not now.champion:
         evidence = {"evaluation": facts["evaluation"]}
         now = registry.promote(
             fit.robot, version.number, reason="the first model of its robot", evidence=evidence,
@@ -395,12 +355,12 @@ def register_fit(fit: RobotFit, registry: Registry) -> RobotFit:
     return replace(fit, registered=version.label, role=role)
 
 
-def _of_another(name: str, serial: str, registry: Registry) -> str:
+def _serial_conflict(name: str, serial: str, registry: Registry) -> str:
     """Return why a model is not of the robot of a name; empty if it is, or if that is unknown."""
     if not serial or name not in registry.names():
         return ""
     versions, champion = registry.versions(name), registry.aliases(name).champion
-    known = next((one for one in versions if one.number == champion), versions[-1])
+    known = next((each for each in versions if each.number == champion), versions[-1])
     theirs = str(known.facts.get("serial", ""))
     if theirs in ("", serial):
         return ""

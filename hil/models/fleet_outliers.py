@@ -50,7 +50,8 @@ class Comparison:
 
 
 FEWEST = 8
-"""Fewest robots that are compared: of five, three always look alike."""
+"""Fewest robots that are compared: with five robots the scatter estimate rests on the three most
+alike."""
 
 FAMILY_WISE = 0.01
 """Probability that a fleet of equal robots has any outlier."""

@@ -1,14 +1,13 @@
 """The state of every robot of a fleet: drift, friction, temperature and age, and its outliers.
 
 `survey_fleet` reads the last probe, the friction of the last model and the temperature of every
-robot, and compares the robots joint by joint (`fleet_outliers`). `probe_fleet` judges the runs of a
-fleet as probes, each against its robot's champion, at such a rate of false alarms that the rate of
-the whole fleet is the one asked for.
+robot, and compares the robots joint by joint (`fleet_outliers`). Friction is compared only between
+models of one estimator. `fleet_probes` makes the probes.
 """
 
 from __future__ import annotations
 
-import math
+from collections import Counter
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import partial
@@ -17,12 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from hil.core import DataError, FitError, FloatArray, HilError, read_json
+from hil.core import DataError, FitError, FloatArray, HilError, read_json, spread_over_processes
 from hil.estimators import load_model_file, models_below
 from hil.evaluation import usable_part
 from hil.importers import load_source
-from hil.models.drift import Probe, assess, probes_of
-from hil.models.fleet_fits import results_of, robot_of
+from hil.models.drift import Probe, probes_of
+from hil.models.fleet_fits import DIED, robot_of
 from hil.models.fleet_outliers import FAMILY_WISE, Comparison, compare_robots
 from hil.models.model_registry import Registry
 from hil.recording import FleetGroup
@@ -39,10 +38,12 @@ class SurveyedRobot:
         model: Folder of the model fitted to that run; None without one.
         age: Years in service on the day of the run; NaN if the station has no `in_service`.
         joint_names: Length n.
-        friction: (n,) RMS of the friction by the model, along the run's trajectories [N·m].
+        friction: (n,) RMS of the friction component over the series that the estimator is fitted to
+            [N·m].
         temperature: (n,) mean of the joints in the run [°C]; NaN if not measured.
         probe: The last probe under its present champion; None without one.
-        problem: What could not be read of it; empty if all could.
+        problem: What could not be read of it, or why it is not compared; else empty.
+        estimator: Name of the model's estimator; empty without a model.
     """
 
     robot: str
@@ -54,6 +55,7 @@ class SurveyedRobot:
     temperature: FloatArray
     probe: Probe | None = None
     problem: str = ""
+    estimator: str = ""
 
     @property
     def change(self) -> FloatArray:
@@ -105,12 +107,12 @@ class Survey:
     @property
     def joint_names(self) -> tuple[str, ...]:
         """Of the arms; empty if no robot has a model."""
-        return next((one.joint_names for one in self.robots if one.joint_names), ())
+        return next((robot.joint_names for robot in self.robots if robot.joint_names), ())
 
     @property
     def drifted(self) -> tuple[SurveyedRobot, ...]:
         """Robots that have changed by their last probe under their present champion."""
-        return tuple(one for one in self.robots if one.probe is not None and one.probe.changed)
+        return tuple(robot for robot in self.robots if robot.probe and robot.probe.changed)
 
     @property
     def false_alarms(self) -> float:
@@ -118,7 +120,7 @@ class Survey:
 
         It is the sum of the rates at which their last probes were judged.
         """
-        return sum(one.probe.false_alarm for one in self.robots if one.probe is not None)
+        return sum(robot.probe.false_alarm for robot in self.robots if robot.probe is not None)
 
     def outlying(self, which: Comparison | None) -> list[tuple[int, int]]:
         """Return (robot, joint) of the outliers in a quantity, the farthest first."""
@@ -135,9 +137,9 @@ class Survey:
             "name": self.name,
             "family_wise": FAMILY_WISE,
             "joint_names": list(self.joint_names),
-            "robots": [one.to_dict() for one in self.robots],
+            "robots": [robot.to_dict() for robot in self.robots],
             "missing": list(self.missing),
-            "drifted": [one.robot for one in self.drifted],
+            "drifted": [robot.robot for robot in self.drifted],
             "false_alarms": self.false_alarms,
             "friction": self._compared(self.friction),
             "change": self._compared(self.change),
@@ -170,7 +172,6 @@ def survey_fleet(path: Path, registry: Registry, *, workers: int) -> Survey:
 
     Raises:
         DataError: It is no fleet, nothing was measured, or its robots are different arms.
-        FitError: Processes died again and again.
     """
     fleet = FleetGroup.open(path)
     runs = fleet.completed()
@@ -178,25 +179,34 @@ def survey_fleet(path: Path, registry: Registry, *, workers: int) -> Survey:
         raise DataError(
             f"no robot of {fleet.path} has been measured", hint=f"hil fleet resume {fleet.path}"
         )
-    tasks = [partial(survey_robot, run, _model_of(fleet, run)) for run in runs]
+    models = [_model_of(fleet, run) for run in runs]
+    robots: list[SurveyedRobot] = spread_over_processes(
+        [partial(survey_robot, run, model) for run, model in zip(runs, models, strict=True)],
+        workers,
+        lambda done: None,
+        lambda i: _without_friction(runs[i], models[i], DIED),
+    )
     registered = set(registry.names())
-    robots: list[SurveyedRobot] = results_of(tasks, workers, None, lambda done: None)
-    robots = [_with_last_probe(one, registry) if one.robot in registered else one for one in robots]
-    if len({one.joint_names for one in robots if one.joint_names}) > 1:
+    robots = [
+        _with_last_probe(robot, registry) if robot.robot in registered else robot
+        for robot in _of_one_estimator(robots)
+    ]
+    if len({robot.joint_names for robot in robots if robot.joint_names}) > 1:
         raise DataError(
             f"the robots of {fleet.path} are different arms",
             hint="run a fleet of each: their friction cannot be compared",
         )
-    n = max(len(one.joint_names) for one in robots)
+    n = max(len(robot.joint_names) for robot in robots)
     covariates = {
-        "age": np.array([one.age for one in robots]),
-        "temperature": np.array([_wide(one.temperature, n) for one in robots]),
+        "age": np.array([robot.age for robot in robots]),
+        "temperature": np.array([_or_nan(robot.temperature, n) for robot in robots]),
     }
+    members = fleet.members()
     return Survey(
         str(fleet.head["name"]), fleet.path, tuple(robots),
-        tuple(one.robot for one in fleet.members() if one.report.get("outcome") != "completed"),
-        compare_robots(np.array([_wide(one.friction, n) for one in robots]), covariates),
-        compare_robots(np.array([_wide(one.change, n) for one in robots]), covariates),
+        tuple(each.robot for each in members if each.report.get("outcome") != "completed"),
+        compare_robots(np.array([_or_nan(robot.friction, n) for robot in robots]), covariates),
+        compare_robots(np.array([_or_nan(robot.change, n) for robot in robots]), covariates),
     )  # fmt: skip
 
 
@@ -207,35 +217,68 @@ def _model_of(fleet: FleetGroup, run: Path) -> Path | None:
     return newest.parent if newest else next(iter(models_below(run)), None)
 
 
-def _with_last_probe(one: SurveyedRobot, registry: Registry) -> SurveyedRobot:
+def _of_one_estimator(robots: list[SurveyedRobot]) -> list[SurveyedRobot]:
+    """Leave out the friction of models of another estimator than that of most robots.
+
+    Estimators attribute different parts of the effort to friction.
+    """
+    named = Counter(robot.estimator for robot in robots if robot.estimator)
+    if len(named) < 2:
+        return robots
+    ((common, _),) = named.most_common(1)
+    return [
+        replace(
+            robot,
+            friction=np.full_like(robot.friction, np.nan),
+            problem=f"its friction is not compared: its model is of {robot.estimator}, "
+            f"others are of {common} (hil fleet fit FOLDER -e ESTIMATOR)",
+        )
+        if robot.estimator not in ("", common)
+        else robot
+        for robot in robots
+    ]
+
+
+def _with_last_probe(robot: SurveyedRobot, registry: Registry) -> SurveyedRobot:
     """Return a robot with its last probe under the present champion; other probes say nothing."""
     try:
-        champion = registry.aliases(one.robot).champion
-        probes = [each for each in probes_of(registry, one.robot) if each.champion == champion]
+        champion = registry.aliases(robot.robot).champion
+        probes = [each for each in probes_of(registry, robot.robot) if each.champion == champion]
     except HilError as error:  # a damaged history is this robot's alone
-        return replace(one, problem="; ".join(filter(None, (one.problem, error.message))))
-    return replace(one, probe=probes[-1] if probes else None)
+        return replace(robot, problem="; ".join(filter(None, (robot.problem, error.message))))
+    return replace(robot, probe=probes[-1] if probes else None)
 
 
-def _wide(values: FloatArray, n: int) -> FloatArray:
+def _or_nan(values: FloatArray, n: int) -> FloatArray:
     """Return values of n joints; NaN for a robot without a model."""
     return values if len(values) == n else np.full(n, np.nan)
 
 
 def survey_robot(run: Path, model: Path | None) -> SurveyedRobot:
     """Return the state of one robot without its probes; computed by a worker."""
-    robot, age = robot_of(run), _age_years(run)
     try:
         if model is None:
             raise FitError(
                 "it has no model: hil fleet fit",
                 hint="fit it first: hil fleet fit FOLDER -e ESTIMATOR",
             )
-        names, friction, temperature = _friction(run, model)
+        estimator, names, friction, temperature = _friction(run, model)
     except HilError as error:
-        none = np.empty(0)
-        return SurveyedRobot(robot, run, model, age, (), none, none, problem=error.message)
-    return SurveyedRobot(robot, run, model, age, names, friction, temperature)
+        return _without_friction(run, model, error.message)
+    # Estimators are plug-ins: one that breaks down must not cost the other robots.
+    except Exception as error:
+        return _without_friction(
+            run, model, f"its model broke down: {type(error).__name__}: {error}"
+        )
+    robot, age = robot_of(run), _age_years(run)
+    return SurveyedRobot(robot, run, model, age, names, friction, temperature, estimator=estimator)
+
+
+def _without_friction(run: Path, model: Path | None, problem: str) -> SurveyedRobot:
+    none = np.empty(0)
+    return SurveyedRobot(
+        robot_of(run), run, model, _age_years(run), (), none, none, problem=problem
+    )
 
 
 DAYS_A_YEAR = 365.25
@@ -253,8 +296,8 @@ def _age_years(run: Path) -> float:
     return float("nan") if since is None else (day - since).days / DAYS_A_YEAR
 
 
-def _friction(run: Path, model: Path) -> tuple[tuple[str, ...], FloatArray, FloatArray]:
-    """Return joint names, (n,) RMS of friction [N·m] and (n,) mean temperature [°C] of a run."""
+def _friction(run: Path, model: Path) -> tuple[str, tuple[str, ...], FloatArray, FloatArray]:
+    """Return the estimator, joint names, (n,) RMS of friction [N·m] and mean temperature [°C]."""
     fitted = load_model_file(model)
     data = usable_part(load_source(run), fitted)
     prediction = fitted.predict(data)
@@ -264,64 +307,14 @@ def _friction(run: Path, model: Path) -> tuple[tuple[str, ...], FloatArray, Floa
             hint="fit with an estimator that tells friction apart",
         )
     torque = prediction.components["friction"] * fitted.torque_scale_
-    friction: FloatArray = np.sqrt(np.nanmean(torque**2, axis=0))
-    measured = "temperature" in data.columns
-    celsius = (
-        np.nanmean(data["temperature"], axis=0) if measured else np.full(len(friction), np.nan)
-    )
-    return fitted.joint_names_, friction, celsius
+    measured = data.columns.get("temperature", np.full_like(torque, np.nan))
+    friction = np.sqrt(_known_mean(torque**2))
+    return fitted.estimator, fitted.joint_names_, friction, _known_mean(measured)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RobotProbe:
-    """The probe of one robot of a fleet.
-
-    Attributes:
-        robot: Its name.
-        asked: Rate of false alarms asked for it, so that the fleet's is the one asked for.
-        probe: None if the robot could not be judged.
-        error: Why not, else empty.
-    """
-
-    robot: str
-    asked: float
-    probe: Probe | None = None
-    error: str = ""
-
-    @property
-    def note(self) -> str:
-        """A note if the probe was judged earlier, at another rate of false alarms; else empty."""
-        if self.probe is None or math.isclose(self.probe.false_alarm, self.asked, rel_tol=1e-9):
-            return ""
-        return f"judged before, at a rate of {self.probe.false_alarm:.2g}, not {self.asked:.2g}"
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return an entry of `hil fleet drift --json`."""
-        probe = {} if self.probe is None else self.probe.to_dict()
-        more = {"asked": self.asked, "note": self.note or None, "error": self.error or None}
-        return {"robot": self.robot, **probe, **more}
-
-
-def probe_fleet(path: Path, registry: Registry, false_alarm: float) -> list[RobotProbe]:
-    """Judge the runs of a fleet as probes; one that cannot be judged leaves the others alone.
-
-    Args:
-        path: Folder of the fleet.
-        registry: With champions of the robots.
-        false_alarm: Probability with which any of the robots is called changed if none is:
-            nominally, for independent probes that are judged now.
-
-    Raises:
-        DataError: It is no fleet.
-    """
-    runs = FleetGroup.open(path).completed()
-    each = 1.0 - (1.0 - false_alarm) ** (1.0 / max(1, len(runs)))
-    return [_probe_robot(registry, run, each) for run in runs]
-
-
-def _probe_robot(registry: Registry, run: Path, false_alarm: float) -> RobotProbe:
-    robot = robot_of(run)
-    try:
-        return RobotProbe(robot, false_alarm, assess(registry, robot, run, false_alarm=false_alarm))
-    except HilError as error:
-        return RobotProbe(robot, false_alarm, error=error.message)
+def _known_mean(values: FloatArray) -> FloatArray:
+    """(n,) mean over the rows (N, n) that are known; NaN for a joint without any."""
+    known = np.count_nonzero(~np.isnan(values), axis=0)
+    mean = np.full(known.shape, np.nan)
+    np.divide(np.nansum(values, axis=0), known, out=mean, where=known > 0)
+    return mean

@@ -87,7 +87,7 @@ def _outliers(survey: Survey) -> list[tuple[str, str]]:
 
 def _summary(survey: Survey) -> str:
     if survey.friction is None:
-        return f"With fewer than {FEWEST} robots nothing can be said of who stands out."
+        return f"With fewer than {FEWEST} robots outliers cannot be tested."
     after = " and ".join(survey.friction.names) or "nothing"
     explain = "explain" if len(survey.friction.names) > 1 else "explains"
     return (
@@ -98,12 +98,12 @@ def _summary(survey: Survey) -> str:
 
 
 def _of_probed(survey: Survey, probed: int) -> str:
-    """Of how many, and how many would be called so nominally though nobody has changed."""
+    """Return how many robots were probed and how many false alarms are expected."""
     return f"of {probed} probed; by chance {survey.false_alarms:.2g}, nominally"
 
 
 def _not_compared(survey: Survey) -> list[str]:
-    """What some robots do not tell, so that they are not compared, or nobody is by it."""
+    """Return which robots were not compared, and why."""
     found: list[str] = []
     for which, what in ((survey.friction, "friction"), (survey.change, "change of friction")):
         if which is None:
