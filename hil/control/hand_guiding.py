@@ -44,7 +44,6 @@ from hil.estimators import (
     at_rest_effort,
     dry_friction,
     gravity_torque,
-    knows_torque,
 )
 from hil.export import plain_friction
 
@@ -176,7 +175,7 @@ def _level_of(model: RobotEstimator) -> FloatArray | None:
     """(n,) what the model says, or what its sliding friction shows; None of an arm at rest only."""
     known = dry_friction(model)
     moves = any("trajectory" in kinds for kinds in model.series_kinds)
-    return resting_friction(model) if known is None and moves and knows_torque(model) else known
+    return resting_friction(model) if known is None and moves and model.knows_gains else known
 
 
 SLIDING_HZ = 100.0
@@ -199,7 +198,7 @@ def _levels(name: str, values: Sequence[float] | FloatArray, n: int) -> FloatArr
 def _limit_of(model: RobotEstimator, limit: Sequence[float] | FloatArray | None) -> FloatArray:
     if limit is not None:
         return _levels("limit", limit, len(model.joint_names_))
-    if not knows_torque(model):
+    if not model.knows_gains:
         raise FitError(
             "the model was fitted to currents without drive gains: its robot's torque limits are "
             "no limits of currents",
@@ -213,7 +212,7 @@ def _gravity_of(
     model: RobotEstimator, payload: Payload | None
 ) -> Callable[[FloatArray, list[float]], None]:
     """Writes gravity and load [N·m] at a position (n,) into a list of n numbers."""
-    if knows_torque(model) or (payload is not None and not payload.is_empty):
+    if model.knows_gains or (payload is not None and not payload.is_empty):
         chain = GravityChain.of(model, payload)
         if chain is not None:
             return chain.write

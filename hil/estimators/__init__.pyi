@@ -97,7 +97,6 @@ from .standstill import at_rest_effort as at_rest_effort
 from .standstill import dry_friction as dry_friction
 from .standstill import gravity_torque as gravity_torque
 from .standstill import holding_friction as holding_friction
-from .standstill import knows_torque as knows_torque
 from .standstill import require_torque as require_torque
 from .static_friction import StaticFriction as StaticFriction
 from .static_friction import StaticHysteresis as StaticHysteresis

@@ -96,6 +96,12 @@ class RobotEstimator(Parametrised):
         """
         return HONEST
 
+    @property
+    def knows_gains(self) -> bool:
+        """Whether its efforts can be stated in N·m: gains of 1 without a source stand for none."""
+        without = not self.gains_source_ and bool(np.all(self.torque_scale_ == 1.0))
+        return self.effort_kind_ == "torque" or not without
+
     def extras(self) -> Mapping[str, str]:
         """Extras of this distribution that a fit needs, and what for; checked before any motion."""
         return {}

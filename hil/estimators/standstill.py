@@ -94,7 +94,7 @@ def dry_friction(model: RobotEstimator) -> FloatArray | None:
     It is the friction of a joint that slides; one that sticks holds at least as much while it is
     as cold as in the recording.
     """
-    if not knows_torque(model):
+    if not model.knows_gains:
         return None
     if isinstance(model, HasDryFriction):
         return np.abs(model.dry_friction())
@@ -108,14 +108,9 @@ def holding_friction(model: RobotEstimator) -> FloatArray | None:
     It is the break-away level of a model whose friction has a memory. A model without one has the
     friction of a joint that slides in its place (`dry_friction`).
     """
-    if knows_torque(model) and isinstance(model, HasBreakAway):
+    if model.knows_gains and isinstance(model, HasBreakAway):
         return model.break_away()
     return dry_friction(model)
-
-
-def knows_torque(model: RobotEstimator) -> bool:
-    """Whether efforts of the model can be told in N·m."""
-    return model.effort_kind_ == "torque" or not bool(np.all(model.torque_scale_ == 1.0))
 
 
 def require_torque(model: RobotEstimator) -> None:
@@ -124,7 +119,7 @@ def require_torque(model: RobotEstimator) -> None:
     Raises:
         FitError: It was fitted without drive gains.
     """
-    if not knows_torque(model):
+    if not model.knows_gains:
         raise FitError(
             f"the model {model.estimator} was fitted to currents without drive gains: nobody knows "
             "how much torque they are",

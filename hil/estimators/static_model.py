@@ -95,12 +95,6 @@ class StaticModel(WlsEstimator):
         """`honest`, or with `current_term` that the target is among the inputs."""
         return PAPER_PROTOCOL if self.current_term else HONEST
 
-    @property
-    def knows_gains(self) -> bool:
-        """Whether torques are in N·m: gains of 1 that come from nowhere stand for none."""
-        without = not self.gains_source_ and bool(np.all(self.torque_scale_ == 1.0))
-        return self.effort_kind_ == "torque" or not without
-
     def needs(self, robot: RobotModel, *, loaded: bool = False) -> Needs:
         """Return what a fit cannot do without: as many dwells as parameters.
 
