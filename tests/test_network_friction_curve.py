@@ -65,7 +65,7 @@ def test_of_physics_whose_networks_were_all_dropped_it_is_that_of_the_physics() 
     none = np.zeros_like(kept.correction_.kept)
     dropped.correction_ = replace(kept.correction_, kept=none)
     assert np.array_equal(dropped.friction_curve(qd).torque, kept.base_.friction_curve(qd).torque)
-    assert predict_with(dropped, moving(11)).friction.in_motion.law is not None
+    assert predict_with(dropped, moving(11)).friction.in_motion.curve is not None
     drawn = predict_with(kept, moving(11)).friction.in_motion
-    assert drawn.law is None
+    assert drawn.curve is None
     assert drawn.learned

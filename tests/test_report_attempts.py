@@ -45,7 +45,7 @@ def test_the_pause_between_attempts_is_no_recorded_time(resumed):
     run, rows = resumed
     recording = read_recording(read_facts(run.path), [])
     assert [len(part) for part in recording.attempts] == [FIRST, len(rows) - FIRST]
-    assert recording.begins == (FIRST,)
+    assert recording.attempt_starts == (FIRST,)
     assert recording.recorded_s == pytest.approx((len(rows) - 2) / RATE)
     assert recording.counts.gaps == 0
 

@@ -111,7 +111,7 @@ def test_nothing_is_drawn_beyond_the_velocities_of_the_data(seen: Predictions) -
 
 
 def test_friction_that_is_no_curve_is_drawn_as_its_mean_either_way(seen: Predictions) -> None:
-    motion = replace(seen.friction.in_motion, law=None)
+    motion = replace(seen.friction.in_motion, curve=None)
     line = figures.moving(motion, 1)[-1]
     assert line.name == "friction of the model, mean"
     known = truth(np.repeat(line.x[:, None] / DEGREES, 6, axis=1))[:, 1]

@@ -15,11 +15,12 @@ from report_runs import JOINTS, dwell_plan, fourier_plan, rows_of_plan, write_ru
 import hil
 from hil.core.errors import DataError, RecordingError
 from hil.importers.sources import load_source
-from hil.report import render_fit_report, render_report
+from hil.report import render_fit_report, render_report, run_report
 from hil.report.run_facts import read_facts
 from hil.report.run_recording import dataset_of, read_recording
 from hil.report.run_report import run_page
 from hil.spec.load import load_spec
+from hil.studies import Figure
 from hil.workflow.judging import judge_run
 
 HOSTILE = "\"><script>alert('x')</script><img src=http://evil.example/x onerror=alert(1)>"
@@ -222,6 +223,42 @@ def test_the_plots_show_the_series_the_evaluation_names_and_no_others(dwells, tm
     file.write_text(json.dumps(document))
     page = Page(render_report(copy).read_text())
     assert any("1 held-out poses from both sides" in caption for caption in page.tables)
+
+
+def edited_fit(run, name, **held_out):
+    """A copy of the run's model whose evaluation says something else of what was held out."""
+    folder = shutil.copytree(next(run.glob("fit/rigid-wls-*")), run / "fit" / name)
+    document = json.loads((folder / "evaluation.json").read_text())
+    document["held_out"] |= held_out
+    (folder / "evaluation.json").write_text(json.dumps(document))
+    return folder
+
+
+def test_a_model_without_held_out_series_costs_no_other_its_plots(fourier, tmp_path, monkeypatch):
+    monkeypatch.setattr(run_report, "MOST_PLOTTED", 1)
+    copy = shutil.copytree(fourier.path, tmp_path / "copy")
+    edited_fit(copy, "another-0123456789ab", series=[])
+    page = run_page(copy)
+    (warning,) = [text for text in page.warnings if "left out" in text]
+    assert warning.startswith("The plots of another are left out:")
+    plots = {s.title: any(isinstance(b, Figure) for b in s.blocks) for s in page.sections}
+    assert plots["Model rigid-wls"]
+    assert not plots["Model another"]
+
+
+def test_a_model_judged_on_another_run_shows_no_series_of_this_one(fourier, tmp_path):
+    copy = shutil.copytree(fourier.path, tmp_path / "copy")
+    file = next(copy.glob("fit/*/evaluation.json"))
+    document = json.loads(file.read_text())
+    entry = {**document["held_out"], "source": "runs/0099-other"}
+    file.write_text(json.dumps({"validation": [entry]}))
+    warnings = " ".join(run_page(copy).warnings)
+    assert "it was judged on runs/0099-other, not on this recording" in warnings
+
+
+def test_only_routine_events_that_there_were_are_counted(fourier, tmp_path):
+    copy = shutil.copytree(fourier.path, tmp_path / "copy")
+    assert "0 ×" not in Page(render_report(copy).read_text()).text
 
 
 def test_dwells_are_plotted_as_they_were_measured_from_both_sides(dwell_page):

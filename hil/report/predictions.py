@@ -1,9 +1,9 @@
 """What a model predicts of held-out data, as a page draws it.
 
 `held_out_of` selects the series a model was judged on, `predict_with` predicts them. Dwells are
-averaged, as one of their rows says nothing more than another; trajectories keep their rows.
-Friction is shown apart: the measured effort less everything the model attributes to something
-else, beside the friction of the model. It is in N·m where the model knows the drive gains.
+averaged: their rows are repeats of one measurement. Trajectories keep their rows. Friction is shown
+apart: the measured effort less everything the model attributes to something else, beside the
+friction of the model. It is in N·m where the model knows the drive gains.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from hil.data import (
     prepare,
     series_means,
 )
-from hil.estimators import HasFrictionCurve, RobotEstimator, knows_torque, load_model_file
+from hil.estimators import FrictionCurve, HasFrictionCurve, RobotEstimator, load_model_file
 from hil.report.documents import as_names
 from hil.report.fit_facts import HONEST, FitFacts
 
@@ -52,7 +52,8 @@ class DwellPredictions:
         t: (D,) when [s].
         q: (D, n) where [rad].
         measured, predicted: (D, n) mean effort.
-        approach, pose, load: (D,) +1, −1 or 0; pose numbers; indices of the loads.
+        approach: (D,) +1 approached from below, −1 from above, 0 unknown.
+        pose, load: (D,) pose numbers; indices of the loads.
     """
 
     t: FloatArray
@@ -91,7 +92,7 @@ class Friction:
     """What is known of a model's friction; either part may be missing.
 
     Attributes:
-        unit: `N·m`, or `A` where nobody knows the drive gains.
+        unit: `N·m`, or `A` if the drive gains are unknown.
         at_rest, in_motion: In that unit.
     """
 
@@ -109,7 +110,8 @@ class FrictionAtRest:
         measured: (D, n) mean effort less the model's gravity, offset and load.
         predicted: (D, n) friction of the model, with what its network adds; None where it knows
             none at rest.
-        approach, pose: (D,) +1, −1 or 0; pose numbers.
+        approach: (D,) +1 approached from below, −1 from above, 0 unknown.
+        pose: (D,) pose numbers.
     """
 
     q: FloatArray
@@ -127,31 +129,17 @@ class FrictionInMotion:
         qd: (N, n) [rad/s].
         measured: (N, n) effort less the model's gravity, inertia and load.
         predicted: (N, n) friction of the model, with what its network adds.
-        law: The same as a curve; None where the model gives none.
+        law_qd: (M, n) velocities of the curve, rising over those of the data [rad/s].
+        curve: The same at these velocities; None, as `law_qd`, where the model gives none.
         learned: Whether a network adds something.
     """
 
     qd: FloatArray
     measured: FloatArray
     predicted: FloatArray
-    law: FrictionLaw | None
+    law_qd: FloatArray | None
+    curve: FrictionCurve | None
     learned: bool = False
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FrictionLaw:
-    """Friction as a function of velocity, over the velocities of the data; all arrays (M, n).
-
-    Attributes:
-        qd: Velocities of each joint, rising [rad/s].
-        torque, dry, std_error, terms: See `hil.estimators.friction_curve`.
-    """
-
-    qd: FloatArray
-    torque: FloatArray
-    dry: FloatArray
-    std_error: FloatArray
-    terms: tuple[str, ...]
 
 
 def held_out_of(fit: FitFacts, data: Dataset) -> Dataset:
@@ -160,8 +148,14 @@ def held_out_of(fit: FitFacts, data: Dataset) -> Dataset:
     Ids begin with the name the run directory had then; it may have been renamed since.
 
     Raises:
-        DataError: The evaluation names none that are in the recording.
+        DataError: It was judged on another recording, or names no series that are in this one.
     """
+    recorded = {Path(condition.source).name for condition in data.conditions}
+    if fit.source and Path(fit.source).name not in recorded:
+        raise DataError(
+            f"it was judged on {fit.source}, not on this recording",
+            hint="plots of other recordings: hil fit SOURCE --validate OTHER_RUN --report PAGE",
+        )
     judged = {_within_run(str(name)) for name in as_names(fit.held_out.get("series"))}
     held_out = data.select(lambda condition: _within_run(condition.id) in judged)
     if not held_out.conditions:
@@ -177,7 +171,7 @@ def _within_run(name: str) -> str:
 
 
 def predict_with_file(folder: Path, data: Dataset, judged: Judged | None = None) -> Predictions:
-    """Predict held-out data with a saved model, except what is known since it was judged.
+    """Predict held-out data with a saved model; predictions in `judged` are reused.
 
     Raises:
         HilError: The model cannot be loaded, or does not fit the data.
@@ -194,17 +188,17 @@ def predict_with(model: Model, data: Dataset, judged: Judged | None = None) -> P
         _within_limit(data.of_kind("dwell")),
         _within_limit(data.of_kind("trajectory", "move")),
     )
-    _, unit = scale_of(model)
+    _, unit = _scale_of(model)
     dwells = motions = None
     friction = Friction(unit)
     if held.conditions:
         prediction = judged.predict(model, held) if judged else model.predict(held)
         dwells = _dwells(held, prediction)
-        friction = replace(friction, at_rest=at_rest(model, held, prediction))
+        friction = replace(friction, at_rest=_at_rest(model, held, prediction))
     if moved.conditions:
         prediction = judged.predict(model, moved) if judged else model.predict(moved)
-        motions = _motions(moved, prediction, velocity(model, moved))
-        friction = replace(friction, in_motion=in_motion(model, moved, prediction, motions.qd))
+        motions = _motions(moved, prediction, _velocity(model, moved))
+        friction = replace(friction, in_motion=_in_motion(model, moved, prediction, motions.qd))
     return Predictions(dwells, motions, friction)
 
 
@@ -228,10 +222,15 @@ def _dwells(data: Dataset, prediction: Prediction) -> DwellPredictions:
         q=series_means(data, data["q"]),
         measured=series_means(data, data["effort"]),
         predicted=series_means(data, prediction.effort),
-        approach=np.array([c.approach for c in data.conditions], dtype=np.int64),
-        pose=np.array([c.pose for c in data.conditions], dtype=np.int64),
-        load=np.array([c.load for c in data.conditions], dtype=np.int64),
+        approach=_of_conditions(data, "approach"),
+        pose=_of_conditions(data, "pose"),
+        load=_of_conditions(data, "load"),
     )
+
+
+def _of_conditions(data: Dataset, name: str) -> IntArray:
+    """(D,) a number of each series."""
+    return np.array([getattr(each, name) for each in data.conditions], dtype=np.int64)
 
 
 def _motions(data: Dataset, prediction: Prediction, qd: FloatArray) -> MotionPredictions:
@@ -255,16 +254,16 @@ def _motions(data: Dataset, prediction: Prediction, qd: FloatArray) -> MotionPre
 
 
 def _relative_error(measured: FloatArray, predicted: FloatArray, all_measured: FloatArray) -> float:
-    """Mean over the joints of RMSE over signal, −1 when the model is valid nowhere."""
+    """Return RMSE over signal, all joints together, over the valid samples; −1 without any."""
     good = np.isfinite(predicted)
     if not good.any():
         return -1.0
     scale = np.maximum(all_measured.std(axis=0), 1e-12)
-    error = np.where(good, (measured - predicted) / scale, 0.0)
-    return float(np.sqrt(np.mean(error**2)))
+    error = (measured - predicted) / scale
+    return float(np.sqrt(np.mean(error**2, where=good)))
 
 
-def velocity(model: Model, data: Dataset) -> FloatArray:
+def _velocity(model: Model, data: Dataset) -> FloatArray:
     """(N, n) as recorded, else what the model saw; NaN for series without either [rad/s]."""
     if "qd" in data.columns:
         return data["qd"]
@@ -281,28 +280,28 @@ def velocity(model: Model, data: Dataset) -> FloatArray:
 
 
 FRICTION, RESIDUAL = "friction", "residual"
-"""Of a prediction. What a network adds to the physics is friction that the physics misses, or what
-else it misses: taken away from the measured effort, it would hide just that friction."""
+"""Components of a prediction that count as friction. The residual network's output is included
+because it mostly corrects friction; subtracting it would hide that."""
 
 
-def scale_of(model: Model) -> tuple[FloatArray, str]:
+def _scale_of(model: Model) -> tuple[FloatArray, str]:
     """What turns efforts of a model into its friction's unit, (n,) or (1,), and that unit."""
-    if isinstance(model, RobotEstimator) and knows_torque(model):
+    if isinstance(model, RobotEstimator) and model.knows_gains:
         return model.torque_scale_, "N·m"
     return np.ones(1), "A"
 
 
-def at_rest(model: Model, data: Dataset, prediction: Prediction) -> FrictionAtRest | None:
+def _at_rest(model: Model, data: Dataset, prediction: Prediction) -> FrictionAtRest | None:
     """Friction of dwells; None when no approach is known, or the target was among the inputs.
 
     None, too, where the model is valid nowhere.
     """
-    approach = np.array([c.approach for c in data.conditions], dtype=np.int64)
+    approach = _of_conditions(data, "approach")
     if not approach.any() or getattr(model, "protocol", HONEST) != HONEST:
         return None
     if not prediction.valid.any():
         return None
-    scale, _ = scale_of(model)
+    scale, _ = _scale_of(model)
     friction = _model_friction(prediction)
     knows = FRICTION in prediction.components
     return FrictionAtRest(
@@ -311,7 +310,7 @@ def at_rest(model: Model, data: Dataset, prediction: Prediction) -> FrictionAtRe
         * scale,
         predicted=_means(data, friction, prediction.valid) * scale if knows else None,
         approach=approach,
-        pose=np.array([c.pose for c in data.conditions], dtype=np.int64),
+        pose=_of_conditions(data, "pose"),
     )
 
 
@@ -333,7 +332,7 @@ def _means(data: Dataset, values: FloatArray, valid: BoolArray) -> FloatArray:
     return np.divide(sums, share, out=np.full_like(sums, np.nan), where=share > 0)
 
 
-def in_motion(
+def _in_motion(
     model: Model, data: Dataset, prediction: Prediction, qd: FloatArray
 ) -> FrictionInMotion | None:
     """Friction along trajectories; None when the model has none, or is for arms at rest."""
@@ -345,20 +344,22 @@ def in_motion(
     if not (known & (np.abs(friction) > 0)).any():
         return None
     learned = bool(np.any(known & (modelled != friction)))
-    scale, _ = scale_of(model)
+    scale, _ = _scale_of(model)
     measured = data["effort"] - prediction.effort + modelled
     predicted = np.where(known, modelled * scale, np.nan)
-    law = None if learned else _law(model, np.where(known, qd, np.nan))
-    return FrictionInMotion(qd, np.where(known, measured * scale, np.nan), predicted, law, learned)
+    law_qd, curve = (None, None) if learned else _law(model, np.where(known, qd, np.nan))
+    measured = np.where(known, measured * scale, np.nan)
+    return FrictionInMotion(qd, measured, predicted, law_qd, curve, learned)
 
 
 NEAR_ZERO = 0.05
 """Up to this speed [rad/s] curves are drawn finely: friction turns there."""
 
 
-def _law(model: Model, qd: FloatArray) -> FrictionLaw | None:
+def _law(model: Model, qd: FloatArray) -> tuple[FloatArray, FrictionCurve] | tuple[None, None]:
+    """Return velocities (M, n) over those of the data, and the model's friction at them."""
     if not isinstance(model, HasFrictionCurve):
-        return None
+        return None, None
     good = np.isfinite(qd)
     low = np.min(qd, axis=0, where=good, initial=np.inf)
     high = np.max(qd, axis=0, where=good, initial=-np.inf)
@@ -367,6 +368,4 @@ def _law(model: Model, qd: FloatArray) -> FrictionLaw | None:
     near = np.linspace(-NEAR_ZERO, NEAR_ZERO, 41)[:, None] + np.zeros(qd.shape[1])
     places = np.sort(np.vstack([places, np.clip(near, low, high)]), axis=0)
     curve = model.friction_curve(places)
-    if curve is None:
-        return None
-    return FrictionLaw(places, curve.torque, curve.dry, curve.std_error, curve.terms)
+    return (None, None) if curve is None else (places, curve)

@@ -24,25 +24,24 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from hil.core import FloatArray, IntArray
+from hil.core import FloatArray, IntArray, StructArray
 from hil.data import Conditions, Dataset
-from hil.estimators import OFFSET, STATIC, VISCOUS
+from hil.estimators import OFFSET, STATIC, VISCOUS, FrictionCurve
 from hil.networks import Curves
 from hil.report import colours
 from hil.report.curves import Shown as Summary
 from hil.report.curves import binned, decimated, in_parts, span, summarised, thinned
-from hil.report.documents import as_object
+from hil.report.documents import as_index, as_object
 from hil.report.fit_facts import FitFacts
 from hil.report.predictions import (
     DwellPredictions,
     FrictionAtRest,
     FrictionInMotion,
-    FrictionLaw,
     MotionPredictions,
     Predictions,
 )
 from hil.report.run_facts import RunFacts
-from hil.report.run_recording import Drift, Recording, dwell_poses, rows_of_steps
+from hil.report.run_recording import Recording, ReferenceDrift, intervals
 from hil.report.words import joint_title, number, quantity
 from hil.studies import Axis, Band, Curve, Figure, Grid, Look, Mark, Panel
 
@@ -65,7 +64,7 @@ class RunView:
 
     facts: RunFacts
     recording: Recording
-    drift: Drift | None
+    drift: ReferenceDrift | None
     names: Sequence[str]
     held_out: Sequence[Dataset] = ()
 
@@ -132,7 +131,7 @@ def joint_angles(view: RunView) -> Figure:
 @figure("excitation")
 def pose_map(view: RunView) -> Figure | None:
     """The poses of a dwell program along pairs of joints: trained on, held out, not settled."""
-    poses, where = dwell_poses(view.facts, view.recording)
+    poses, where = _dwell_poses(view.facts, view.recording)
     names = view.names
     if not len(poses) or len(names) < 2:
         return None
@@ -162,11 +161,24 @@ def pose_map(view: RunView) -> Figure | None:
     return Figure("pose-map", "Pose map", lead, panels, 0)
 
 
+def _dwell_poses(facts: RunFacts, recording: Recording) -> tuple[IntArray, FloatArray]:
+    """Pose numbers (P,) and where the arm stood at them (P, n) [rad], each pose once."""
+    poses, where = [], []
+    segment = recording.rows["segment"].astype(np.int64)
+    for _, last in intervals(segment, np.array(facts.indices("dwell"), dtype=np.int64)):
+        poses.append(as_index(facts.steps[int(segment[last - 1])].get("pose")))
+        where.append(recording.rows["q"][last - 1])
+    if not poses:
+        return np.empty(0, np.int64), np.empty((0, 0))
+    number, first = np.unique(np.array(poses), return_index=True)
+    return number, np.array(where)[first]
+
+
 @figure("excitation")
 def position_velocity_coverage(view: RunView) -> Figure:
     """How often each joint was at which position with which velocity."""
     rows = view.recording.rows
-    moving = rows_of_steps(rows, view.facts.indices("trajectory"))
+    moving = _rows_of_steps(rows, view.facts.indices("trajectory"))
     chosen = moving if len(moving) else rows
     chosen = chosen[:: max(1, len(chosen) // COVERAGE_ROWS)]
     q, qd = chosen["q"] * DEGREES, chosen["qd"] * DEGREES
@@ -184,6 +196,15 @@ def position_velocity_coverage(view: RunView) -> Figure:
     when = "on the trajectories" if len(moving) else "in the whole run"
     lead = f"How often each position and velocity occurred {when}: the stronger, the more often."
     return Figure("coverage", "Position and velocity coverage", lead, panels, 0)
+
+
+def _rows_of_steps(rows: StructArray, steps: Sequence[int]) -> StructArray:
+    """The rows recorded while one of these plan steps was executing."""
+    selected = np.zeros(max(steps, default=-1) + 2, np.bool_)
+    selected[list(steps)] = True
+    segment = np.clip(rows["segment"], -1, len(selected) - 1)
+    chosen: StructArray = rows[selected[segment]]
+    return chosen
 
 
 CELLS = 48
@@ -232,7 +253,7 @@ def _of_all_joints(
     view: RunView, title: str, values: FloatArray, unit: str, limit: float, shown: Summary
 ) -> Panel:
     t, peak = view.recording.t, _peak(values)
-    curves = joint_curves(t, values, view.names, shown=shown, begins=view.recording.begins)
+    curves = joint_curves(t, values, view.names, shown=shown, begins=view.recording.attempt_starts)
     # A limit far above the data would press them flat; then it is only said.
     if peak > NEAR_LIMIT * limit:
         curves.append(limit_line(t[[0, -1]], limit))
@@ -268,7 +289,7 @@ def _drift(view: RunView) -> list[Panel]:
 
 def _interval(recording: Recording) -> Panel:
     steps = np.append(np.nan, 1e3 * np.diff(recording.t))
-    steps[list(recording.begins)] = np.nan  # a pause between attempts is no interval
+    steps[list(recording.attempt_starts)] = np.nan  # a pause between attempts is no interval
     title = "Time between samples by the robot's clock"
     return Panel(
         title,
@@ -317,13 +338,13 @@ def limit_line(ends: FloatArray, value: float) -> Curve:
 
 def _broken_line(name: str, recording: Recording, values: FloatArray, j: int = 0) -> Curve:
     """One signal (N,) over time, broken where attempts begin."""
-    x, y = in_parts(decimated, recording.t, values, recording.begins)
+    x, y = in_parts(decimated, recording.t, values, recording.attempt_starts)
     return Curve(name, x, y, look=Look(colours.of_joint(j).colour, width=1.0))
 
 
 def _attempts(recording: Recording) -> tuple[Mark, ...]:
     """Where the attempts after the first begin."""
-    times = recording.t[list(recording.begins)]
+    times = recording.t[list(recording.attempt_starts)]
     return tuple(Mark(float(t), f"attempt {i}") for i, t in enumerate(times, 2))
 
 
@@ -571,12 +592,14 @@ def moving(seen: FrictionInMotion, j: int) -> tuple[Curve, ...]:
     look = Look(colours.MEASURED, size=3 if len(some) > 300 else 4, opacity=0.5)
     name = "measured, less the rest of the model"
     cloud = Curve(name, qd[some], measured[some], "points", look=look)
-    return (cloud, *(_mean(qd, seen.predicted[good, j]) if seen.law is None else _law(seen.law, j)))
+    if seen.law_qd is None or seen.curve is None:
+        return (cloud, *_mean(qd, seen.predicted[good, j]))
+    return (cloud, *_law(seen.law_qd[:, j], seen.curve, j))
 
 
-def _law(law: FrictionLaw, j: int) -> list[Curve]:
-    qd, torque, dry = law.qd[:, j] * DEGREES, law.torque[:, j], law.dry[:, j]
-    half = ERRORS * law.std_error[:, j]
+def _law(velocity: FloatArray, curve: FrictionCurve, j: int) -> list[Curve]:
+    qd, torque, dry = velocity * DEGREES, curve.torque[:, j], curve.dry[:, j]
+    half = ERRORS * curve.std_error[:, j]
     dashed = Look(colours.NEUTRAL, "dash", width=1.4)
     curves = [Curve("without its viscous part", qd, dry, look=dashed)]
     if np.isfinite(half).all():
@@ -615,12 +638,12 @@ def _how_to_read(seen: FrictionInMotion) -> str:
             "What the model's network adds to its physics counts as friction on both sides, though "
             "it may be something else that the physics misses. "
         )
-    if seen.law is None:
+    if seen.curve is None:
         return told + (
             "The line is the mean of the model's friction at each velocity over these "
             "trajectories, the dotted ones a standard deviation to either side."
         )
-    terms = seen.law.terms
+    terms = seen.curve.terms
     first = "static friction, which falls towards Coulomb friction with speed"
     found = [f"half its step at zero is {first if STATIC in terms else 'Coulomb friction'}"]
     if OFFSET in terms:
@@ -631,7 +654,7 @@ def _how_to_read(seen: FrictionInMotion) -> str:
         "The line is the model's friction, no further than these trajectories go: "
         f"{'; '.join(found)}. "
     )
-    if np.isfinite(seen.law.std_error).all(axis=0).any():
+    if np.isfinite(seen.curve.std_error).all(axis=0).any():
         return told + (
             "The standard errors of its parts are added up, as if all erred to the same side: the "
             "band is at most that wide."

@@ -1,7 +1,7 @@
 """The samples of a run: all attempts on one time axis, and what is computed from their rows.
 
 `read_recording` reads every attempt once, torn files as far as they go. Drift at the reference
-pose and visited poses are computed from these rows; `dataset_of` makes a dataset of the same rows.
+pose is computed from these rows (`drift_of`), and `dataset_of` makes a dataset of the same rows.
 Reading them again by `hil.importers.load_source` would take longer than the rest of the report.
 """
 
@@ -50,15 +50,17 @@ class Recording:
     rate_hz: float
 
     @property
-    def begins(self) -> tuple[int, ...]:
-        """Rows at which the attempts after the first begin: nothing was recorded before them."""
+    def attempt_starts(self) -> tuple[int, ...]:
+        """First row of each attempt after the first."""
         ends = np.cumsum([len(rows) for rows in self.attempts])
         return tuple(int(end) for end in ends[:-1])
 
     @property
     def recorded_s(self) -> float:
         """Device time from the first to the last sample of every attempt, added up [s]."""
-        times = (self.t[first:last] for first, last in pairwise((0, *self.begins, len(self.t))))
+        times = (
+            self.t[first:last] for first, last in pairwise((0, *self.attempt_starts, len(self.t)))
+        )
         return float(sum(t[-1] - t[0] for t in times))
 
     @property
@@ -75,7 +77,10 @@ class Recording:
         return 100.0 * self.counts.missing / expected if expected else float("nan")
 
     def tracking_error(self) -> FloatArray:
-        """(N, n) position minus commanded position [rad]; NaN where nothing is commanded."""
+        """(N, n) position q minus commanded position q_target [rad]; NaN without a command.
+
+        The sign is the opposite of the usual e = q_d − q of control.
+        """
         error: FloatArray = self.rows["q"] - self.rows["q_target"]
         return error
 
@@ -143,39 +148,17 @@ def _count(blocks: Sequence[StructArray], rate_hz: float) -> Counts:
     )
 
 
-def rows_of_steps(rows: StructArray, steps: Sequence[int]) -> StructArray:
-    """The rows recorded while one of these plan steps was executing."""
-    wanted = np.zeros(max(steps, default=-1) + 2, np.bool_)
-    wanted[list(steps)] = True
-    segment = np.clip(rows["segment"], -1, len(wanted) - 1)
-    chosen: StructArray = rows[wanted[segment]]
-    return chosen
-
-
-def dwell_poses(facts: RunFacts, recording: Recording) -> tuple[IntArray, FloatArray]:
-    """Pose numbers (P,) and where the arm stood at them (P, n) [rad], each pose once."""
-    poses, where = [], []
-    segment = recording.rows["segment"].astype(np.int64)
-    for _, last in _stays(segment, np.array(facts.indices("dwell"), dtype=np.int64)):
-        poses.append(as_index(facts.steps[int(segment[last - 1])].get("pose")))
-        where.append(recording.rows["q"][last - 1])
-    if not poses:
-        return np.empty(0, np.int64), np.empty((0, 0))
-    number, first = np.unique(np.array(poses), return_index=True)
-    return number, np.array(where)[first]
-
-
-def _stays(segment: IntArray, steps: IntArray) -> list[tuple[int, int]]:
+def intervals(segment: IntArray, steps: IntArray) -> list[tuple[int, int]]:
     """Row ranges in which `segment` stays at one of `steps`."""
     edges = np.flatnonzero(np.diff(segment)) + 1
     starts = np.concatenate(([0], edges))
     stops = np.concatenate((edges, [len(segment)]))
-    wanted = np.isin(segment[starts], steps)
-    return [(int(a), int(b)) for a, b in zip(starts[wanted], stops[wanted], strict=True)]
+    selected = np.isin(segment[starts], steps)
+    return [(int(a), int(b)) for a, b in zip(starts[selected], stops[selected], strict=True)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Drift:
+class ReferenceDrift:
     """The effort at the reference pose, visit by visit.
 
     Attributes:
@@ -190,31 +173,33 @@ class Drift:
     approach: IntArray
 
 
-REFERENCE_SAMPLES = 10
-"""Rows of a visit that are averaged: the last ones, when the arm has settled."""
+REFERENCE_S = 0.08
+"""Time of a visit that is averaged [s]: its end, when the arm has settled."""
 
 
-def drift_of(facts: RunFacts, recording: Recording) -> Drift | None:
+def drift_of(facts: RunFacts, recording: Recording) -> ReferenceDrift | None:
     """How the effort at the reference pose changed; None unless a visit was repeated."""
     visits = np.array(facts.indices("reference"), dtype=np.int64)
     segment = recording.rows["segment"].astype(np.int64)
-    stays = _stays(segment, visits)
+    stays = intervals(segment, visits)
     steps = [facts.steps[int(segment[first])] for first, _ in stays]
     kinds = [(as_index(step.get("load"), 0), as_index(step.get("approach"), 0)) for step in steps]
     if len(set(kinds)) == len(kinds):
         return None
-    effort = np.array([_last_mean(recording.rows["effort"], *stay) for stay in stays])
+    rate_hz = recording.rate_hz if recording.rate_hz > 0 else recording.measured_rate_hz
+    averaged = max(1, round(REFERENCE_S * rate_hz)) if np.isfinite(rate_hz) else 1
+    effort = np.array(
+        [
+            recording.rows["effort"][max(first, last - averaged) : last].mean(axis=0)
+            for first, last in stays
+        ]
+    )
     first = np.array([kinds.index(kind) for kind in kinds])
-    return Drift(
+    return ReferenceDrift(
         t=np.array([recording.t[last - 1] for _, last in stays]),
         change=effort - effort[first],
         approach=np.array([approach for _, approach in kinds]),
     )
-
-
-def _last_mean(effort: FloatArray, first: int, last: int) -> FloatArray:
-    mean: FloatArray = effort[max(first, last - REFERENCE_SAMPLES) : last].mean(axis=0)
-    return mean
 
 
 JUDGED_KINDS: tuple[SeriesKind, ...] = ("dwell", "trajectory")
@@ -232,7 +217,7 @@ def dataset_of(facts: RunFacts, recording: Recording) -> Dataset:
             f"{facts.path / 'start.json'} does not describe the robot",
             hint="the run directory is damaged or was edited: take it from a copy",
         )
-    effort_kind = "torque" if facts.effort_unit == "N·m" else "current"
+    effort_kind = "torque" if robot.get("effort_kind") == "torque" else "current"
     described = {"joint_names": list(facts.joint_names), "effort_kind": effort_kind}
     run = DescribedRun(
         source=facts.path,

@@ -8,7 +8,7 @@ happened comes first.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -39,7 +39,7 @@ from hil.report.page import (
 from hil.report.predictions import Predictions, held_out_of, predict_with_file
 from hil.report.run_facts import RunFacts, read_facts
 from hil.report.run_figures import RunView, figures_of
-from hil.report.run_recording import Drift, Recording, dataset_of, drift_of, read_recording
+from hil.report.run_recording import Recording, ReferenceDrift, dataset_of, drift_of, read_recording
 from hil.report.run_summary import (
     ENDINGS,
     badge_of,
@@ -89,7 +89,7 @@ def render_report(run: Path, judged: Sequence[Judged] = ()) -> Path:
 
     Raises:
         DataError: It is not a run directory, was written by a newer hil, or its recordings were
-            deleted: the page that is there shows them yet. Or its arm's description was changed.
+            deleted; an existing page still shows them. Or its arm's description was changed.
     """
     page = Path(run) / REPORT_FILE
     if page.exists() and RunDirectory(Path(run)).pruned:
@@ -124,11 +124,13 @@ def render_fit_report(
 def run_page(path: Path, judged: Sequence[Judged] = ()) -> Page:
     """Return the page of a run, as blocks; for the arguments see `render_report`."""
     facts = read_facts(path)
-    require_same_arm(robot_of_run(facts.start), path, "leave the page that is there", gone=True)
+    require_same_arm(
+        robot_of_run(facts.start), path, otherwise="leave the page that is there", gone=True
+    )
     problems: list[str] = []
     recording = read_recording(facts, problems)
     held_out = _held_out(facts, recording, problems)
-    shown = _shown(facts.judged_fits, held_out, problems, judged)
+    shown = _predictions_of(facts.judged_fits, held_out, problems, judged)
     drift = drift_of(facts, recording) if recording else None
     about = (facts.run_name, facts.robot_title, when(facts.start.get("started")))
     return Page(
@@ -156,14 +158,18 @@ def _held_out(
         return out
     try:
         data = dataset_of(facts, recording)
-        for fit in facts.judged_fits:
-            out[fit.label] = held_out_of(fit, data)
     except HilError as error:
         problems.append(f"Plots of the models are left out: {error.message}")
+        return out
+    for fit in facts.judged_fits:
+        try:
+            out[fit.label] = held_out_of(fit, data)
+        except HilError as error:
+            problems.append(f"The plots of {fit.label} are left out: {error.message}")
     return out
 
 
-def _shown(
+def _predictions_of(
     fits: Sequence[FitFacts],
     held_out: Mapping[str, Dataset],
     problems: list[str],
@@ -171,12 +177,12 @@ def _shown(
 ) -> dict[str, Predictions]:
     out: dict[str, Predictions] = {}
     known = {one.folder.name: one for one in judged}
-    for fit in fits[:MOST_PLOTTED]:
-        data = held_out.get(fit.label)
+    plotted = [fit for fit in fits if fit.label in held_out][:MOST_PLOTTED]
+    for fit in plotted:
+        data = held_out[fit.label]
         try:
-            if data is not None:
-                _require_same_joints(fit, data)
-                out[fit.label] = predict_with_file(fit.folder, data, known.get(fit.folder.name))
+            _require_same_joints(fit, data)
+            out[fit.label] = predict_with_file(fit.folder, data, known.get(fit.folder.name))
         except HilError as error:
             problems.append(f"The plots of {fit.label} are left out: {error.message}")
     return out
@@ -192,7 +198,7 @@ def _require_same_joints(fit: FitFacts, data: Dataset) -> None:
 
 
 def _summary(facts: RunFacts) -> str:
-    """What came of the run, what to do about its end, and what to type next."""
+    """Return the result, what to do if it ended early, and the next command."""
     hint = str(facts.stop.get("hint") or "")
     return " ".join(
         filter(
@@ -209,7 +215,7 @@ def _summary(facts: RunFacts) -> str:
 def _run_sections(
     facts: RunFacts,
     recording: Recording | None,
-    drift: Drift | None,
+    drift: ReferenceDrift | None,
     held_out: Sequence[Dataset],
 ) -> list[Section]:
     sections: list[Section] = []
@@ -220,7 +226,7 @@ def _run_sections(
     happened = [timeline(facts)]
     if checks := preflight(facts):
         happened.insert(0, checks)
-    # Of a run that ended early, what happened is asked first; otherwise it is rarely looked at.
+    # Of a run that ended early, the timeline comes first.
     early = facts.status in ENDINGS
     return [*(happened + sections if early else sections + happened), provenance(facts)]
 
@@ -238,31 +244,6 @@ def _footer(path: Path) -> str:
     )
 
 
-def fit_page(folders: Sequence[Path], held_out: Mapping[str, Dataset]) -> Page:
-    """The page of models outside a run, as blocks."""
-    problems: list[str] = []
-    fits = best_first(read_fits(folders, problems))
-    if not fits:
-        names = ", ".join(str(folder) for folder in folders)
-        raise DataError(
-            f"there is no evaluation in {names}" + "".join(f"\n{text}" for text in problems),
-            hint="judge the model first: hil evaluate MODEL SOURCE",
-        )
-    by_label = {fit.label: held_out[fit.source] for fit in fits if fit.source in held_out}
-    shown = _shown(fits, by_label, problems)
-    rows = [row for fit in fits for row in fit.criteria]
-    return Page(
-        title=listed(list(dict.fromkeys(fit.name for fit in fits))),
-        subtitle="Models judged on recordings",
-        badge=verdict_badge(all(row.get("passed") for row in rows) if rows else None),
-        summary=f"{fit_sentence(fits[0])} {criteria_sentence(rows)}".strip(),
-        key_figures=tuple(fit_highlights(fits[0])),
-        warnings=(*problems, *fit_warnings(fits)),
-        sections=tuple(model_sections(fits, shown)),
-        footer=_footer(folders[0]),
-    )
-
-
 def excitation(view: RunView) -> Section:
     """Where the arm went, from the recorded positions."""
     blocks: list[Block] = [_plan(view.facts), *figures_of("excitation", view)]
@@ -273,7 +254,7 @@ def excitation(view: RunView) -> Section:
 def _plan(facts: RunFacts) -> Facts:
     kinds = [str(step.get("kind")) for step in facts.steps]
     poses = {as_index(step.get("pose")) for step in facts.steps if step.get("kind") == "dwell"}
-    said: dict[str, object] = {
+    rows: dict[str, object] = {
         "steps": f"{facts.steps_done} of {len(kinds)} done" if kinds else None,
         "poses": len(poses) or None,
         "dwells": kinds.count("dwell") or None,
@@ -282,10 +263,10 @@ def _plan(facts: RunFacts) -> Facts:
     }
     condition = as_float(facts.plan.get("condition_number"))
     if np.isfinite(condition):
-        said["condition number of the regressor"] = number(condition)
+        rows["condition number of the regressor"] = number(condition)
     for name, value in as_object(facts.plan.get("margins")).items():
-        said[f"margin: {with_unit_apart(name)}"] = number(as_float(value))
-    return Facts("Plan", items(said))
+        rows[f"margin: {with_unit_apart(name)}"] = number(as_float(value))
+    return Facts("Plan", items(rows))
 
 
 DEGREES = 180 / np.pi
@@ -305,14 +286,14 @@ def health(view: RunView) -> Section:
 
 def _continuity(facts: RunFacts, recording: Recording) -> Facts:
     counts = recording.counts
-    # A stop document tells the wall time of its own attempt only.
-    wall = as_float(None if recording.begins else facts.stop.get("wall_s"))
+    # A stop document contains the wall time of its own attempt only.
+    wall = as_float(None if recording.attempt_starts else facts.stop.get("wall_s"))
     measured, nominal = number(recording.measured_rate_hz, 5), number(recording.rate_hz, 5)
     missing = f"{counts.missing} samples, {number(recording.gaps_percent, 2)} %"
-    said = {
+    rows = {
         "samples": count(counts.samples),
         "recorded time": duration(recording.recorded_s),
-        "attempts": len(recording.attempts) if recording.begins else None,
+        "attempts": len(recording.attempts) if recording.attempt_starts else None,
         "rate": f"{measured} Hz (nominal {nominal} Hz)",
         "gaps": f"{counts.gaps} ({missing})",
         "duplicates": counts.duplicates,
@@ -321,7 +302,7 @@ def _continuity(facts: RunFacts, recording: Recording) -> Facts:
         "wall time": duration(wall) if np.isfinite(wall) else None,
         "speed": _speed(recording.recorded_s, wall),
     }
-    return Facts("Continuity", items(said))
+    return Facts("Continuity", items(rows))
 
 
 def _speed(device: float, wall: float) -> str | None:
@@ -329,22 +310,24 @@ def _speed(device: float, wall: float) -> str | None:
 
 
 def _weighings(facts: RunFacts) -> list[Block]:
-    """What was weighed; nothing for a run without a sweep over loads."""
-    told = weighings(facts)
-    return [Facts("Loads as weighed", items(told))] if told else []
+    """Return the results of the payload checks; empty without a load sweep."""
+    rows = weighings(facts)
+    return [Facts("Loads as weighed", items(rows))] if rows else []
 
 
-def _ranges(recording: Recording, drift: Drift | None, names: Sequence[str], unit: str) -> Table:
+def _ranges(
+    recording: Recording, drift: ReferenceDrift | None, names: Sequence[str], unit: str
+) -> Table:
     q, qd = recording.rows["q"] * DEGREES, recording.rows["qd"] * DEGREES
-    error, heat = 1e3 * recording.tracking_error(), recording.rows["temperature"]
+    error, temperature = 1e3 * recording.tracking_error(), recording.rows["temperature"]
     table: list[tuple[Column, FloatArray]] = [
         (Column("from [°]", "position"), _over_rows(np.min, q)),
         (Column("to [°]", "position"), _over_rows(np.max, q)),
         (Column("peak [°/s]", "velocity"), _over_rows(np.max, np.abs(qd))),
         (Column("RMS [mrad]", "tracking error"), np.sqrt(_over_rows(np.mean, error**2))),
         (Column("peak [mrad]", "tracking error"), _over_rows(np.max, np.abs(error))),
-        (Column("start [°C]", "temperature"), heat[0]),
-        (Column("end [°C]", "temperature"), heat[-1]),
+        (Column("start [°C]", "temperature"), temperature[0]),
+        (Column("end [°C]", "temperature"), temperature[-1]),
     ]
     if drift is not None:
         largest = _over_rows(np.max, np.abs(drift.change))
@@ -358,11 +341,10 @@ def _ranges(recording: Recording, drift: Drift | None, names: Sequence[str], uni
     return Table(caption, columns, rows).without_empty_columns()
 
 
-def _over_rows(what: np.ufunc | object, values: FloatArray) -> FloatArray:
+def _over_rows(statistic: Callable[[FloatArray], float], values: FloatArray) -> FloatArray:
     """A statistic per joint over the finite rows; NaN for a joint without any."""
-    assert callable(what)
     columns = (column[np.isfinite(column)] for column in values.T)
-    return np.array([float(what(column)) if len(column) else np.nan for column in columns])
+    return np.array([float(statistic(column)) if len(column) else np.nan for column in columns])
 
 
 MOST_EVENTS = 200
@@ -370,7 +352,7 @@ MOST_EVENTS = 200
 ROUTINE = ("dwell", "checkpoint")
 """Events of which there are thousands; the timeline counts them instead of listing them."""
 
-GIVEN_ONCE = ("t", "time", "kind")
+NOT_IN_DETAILS = ("t", "time", "kind")
 
 
 def timeline(facts: RunFacts) -> Section:
@@ -379,8 +361,9 @@ def timeline(facts: RunFacts) -> Section:
     begin = as_float(facts.events[0].get("t")) if facts.events else float("nan")
     columns = tuple(Column(title, number=False) for title in ("after", "event", "details"))
     rows = tuple(_event(facts, event, begin) for event in shown[:MOST_EVENTS])
-    left_out = [f"{len(facts.events_of(kind))} × {kind}" for kind in ROUTINE]
-    note = f"Not listed: {', '.join(left_out)}. Times are wall time."
+    counts = {kind: len(facts.events_of(kind)) for kind in ROUTINE}
+    left_out = ", ".join(f"{times} × {kind}" for kind, times in counts.items() if times)
+    note = f"Not listed: {left_out}. Times are wall time." if left_out else "Times are wall time."
     if len(shown) > MOST_EVENTS:
         note += f" Only the first {MOST_EVENTS} of {len(shown)} events are shown."
     table = Table("Events of the run", columns, rows, note)
@@ -390,10 +373,12 @@ def timeline(facts: RunFacts) -> Section:
 
 def _event(facts: RunFacts, event: Document, begin: float) -> tuple[Cell, ...]:
     after = duration(as_float(event.get("t")) - begin)
-    told = dict(event)
-    if isinstance(told.get("load"), int):
-        told["load"] = load_name(facts, told["load"])
-    details = ", ".join(f"{k}: {in_words(v)}" for k, v in told.items() if k not in GIVEN_ONCE)
+    entries = dict(event)
+    if isinstance(entries.get("load"), int):
+        entries["load"] = load_name(facts, entries["load"])
+    details = ", ".join(
+        f"{k}: {in_words(v)}" for k, v in entries.items() if k not in NOT_IN_DETAILS
+    )
     kind = str(event.get("kind"))
     return Cell(after), Cell(kind, "fail" if kind == "trip" else ""), Cell(details or "–")
 
@@ -497,3 +482,28 @@ def _loads(loads: Any) -> Table:
 def _vector(value: Any) -> str:
     given = value if isinstance(value, list) else ()
     return ", ".join(f"{as_float(item):g}" for item in given) or "–"
+
+
+def fit_page(folders: Sequence[Path], held_out: Mapping[str, Dataset]) -> Page:
+    """The page of models outside a run, as blocks."""
+    problems: list[str] = []
+    fits = best_first(read_fits(folders, problems))
+    if not fits:
+        names = ", ".join(str(folder) for folder in folders)
+        raise DataError(
+            f"there is no evaluation in {names}" + "".join(f"\n{text}" for text in problems),
+            hint="judge the model first: hil evaluate MODEL SOURCE",
+        )
+    by_label = {fit.label: held_out[fit.source] for fit in fits if fit.source in held_out}
+    shown = _predictions_of(fits, by_label, problems)
+    rows = [row for fit in fits for row in fit.criteria]
+    return Page(
+        title=listed(list(dict.fromkeys(fit.name for fit in fits))),
+        subtitle="Models judged on recordings",
+        badge=verdict_badge(all(row.get("passed") for row in rows) if rows else None),
+        summary=f"{fit_sentence(fits[0])} {criteria_sentence(rows)}".strip(),
+        key_figures=tuple(fit_highlights(fits[0])),
+        warnings=(*problems, *fit_warnings(fits)),
+        sections=tuple(model_sections(fits, shown)),
+        footer=_footer(folders[0]),
+    )

@@ -18,7 +18,7 @@ from hil.report.documents import Document, as_float, as_object, as_objects
 from hil.report.fit_facts import FitFacts
 from hil.report.page import Badge, KeyFigure, Mark
 from hil.report.run_facts import RunFacts
-from hil.report.run_recording import Drift, Recording
+from hil.report.run_recording import Recording, ReferenceDrift
 from hil.report.words import count, criterion_text, duration, listed, number, quantity, with_unit
 from hil.robot import Status
 
@@ -191,7 +191,7 @@ def _word_of(verdict: Document, part: str) -> str:
 
 
 def run_highlights(
-    facts: RunFacts, recording: Recording | None, drift: Drift | None
+    facts: RunFacts, recording: Recording | None, drift: ReferenceDrift | None
 ) -> list[KeyFigure]:
     """Numbers people look for first."""
     out = fit_highlights(facts.judged_fits[0]) if facts.judged_fits else []
