@@ -290,7 +290,7 @@ def confirmed_in_the_dashboard(folder: Path) -> str:
     from hil.dashboard.settings import Settings
     from hil.robot import Address
     from hil.workflow.motion_confirmation import Granted
-    from hil.workflow.operator import console_desk
+    from hil.workflow.operator import console_channel
     from hil_mock_robot.embedded.robot import MockRobot
 
     (folder / "a.yaml").write_bytes((REPOSITORY / "experiments/ci_dwell_12.yaml").read_bytes())
@@ -328,7 +328,7 @@ def confirmed_in_the_dashboard(folder: Path) -> str:
             "warm_up: {duration_s: 2}\nweigh: {poses: 0}\n"
         )
         (folder / "no.yaml").write_text("[{prompt: Mount it, answer: no}]\n")
-        desk = console_desk(answers=folder / "no.yaml", confirm=Granted("--yes"))
+        desk = console_channel(answers=folder / "no.yaml", confirm=Granted("--yes"))
         return run(load(folder / "b.yaml"), runs=folder / "runs", desk=desk).run
 
     at = Address("198.51.100.7")
@@ -362,7 +362,7 @@ def jogged_arms_are_confirmed_again(folder: Path) -> str:
     from hil.core.errors import NotConfirmed
     from hil.robot import Address
     from hil.workflow.motion_confirmation import Granted
-    from hil.workflow.operator import console_desk
+    from hil.workflow.operator import console_channel
     from hil_mock_robot.embedded.robot import MockRobot
 
     (folder / "b.yaml").write_text(
@@ -374,7 +374,7 @@ def jogged_arms_are_confirmed_again(folder: Path) -> str:
         "hil_station: 1\nrobots:\n  ur5: {driver: mock, model: ur5}\n"
     )
     (folder / "no.yaml").write_text("[{prompt: Mount it, answer: no}]\n")
-    desk = console_desk(answers=folder / "no.yaml", confirm=Granted("--yes"))
+    desk = console_channel(answers=folder / "no.yaml", confirm=Granted("--yes"))
     with mock.patch.object(MockRobot, "address", Address("198.51.100.7"), create=True):
         stopped = run(load(folder / "b.yaml"), runs=folder / "runs", desk=desk).run
         station = (stopped / "station.yaml").read_text("utf-8")

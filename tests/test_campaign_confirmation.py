@@ -32,7 +32,7 @@ from hil.workflow.motion_confirmation import (
     facts_of_all,
     granted_in,
 )
-from hil.workflow.operator import Desk
+from hil.workflow.operator import OperatorChannel
 from hil.workflow.preview import planned
 from hil.workflow.running import RunReport
 from hil_mock_robot.embedded.robot import MockRobot
@@ -104,8 +104,10 @@ def experiment(tmp_path: Path) -> hil.Experiment:
     return hil.load(tmp_path / "small.yaml")
 
 
-def desk(confirm: motion_confirmation.Confirm) -> Desk:
-    return Desk(lambda text, meanwhile: Reply(True, "anna"), nobody_goes_on, confirm=confirm)
+def desk(confirm: motion_confirmation.Confirm) -> OperatorChannel:
+    return OperatorChannel(
+        lambda text, meanwhile: Reply(True, "anna"), nobody_goes_on, confirm=confirm
+    )
 
 
 def run(experiment: hil.Experiment, confirm: motion_confirmation.Confirm) -> RunReport:

@@ -45,7 +45,7 @@ class FakePrompt:
         self.runs: list[Path | None] = []
         self.answers: list[tuple[bool, str]] = []
 
-    def listen(self, run: Path | None) -> None:
+    def accept_remote_answers(self, run: Path | None) -> None:
         self.runs.append(run)
 
     def answer(self, yes: bool, who: str, prompt: str, asked: int = 0) -> str:

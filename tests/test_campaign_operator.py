@@ -29,9 +29,9 @@ from hil.workflow.console import Console
 from hil.workflow.operator import (
     ConsoleOperator,
     ScriptedOperator,
-    console_desk,
+    answer_as_mock,
+    console_channel,
     load_answers,
-    mock_mounts,
     prompt_on,
     prompts_of,
     require_attended,
@@ -101,13 +101,13 @@ def test_a_stop_ends_the_question() -> None:
 
     with pytest.raises(Stopped):
         asks(MOUNT, stopped)
-    assert asks.answer(True, "bert", MOUNT) == "the run asks nothing"
+    assert asks.answer(True, "bert", MOUNT) == "the run has no open prompt"
 
 
 def test_without_a_console_nobody_answers_unless_others_can(tmp_path: Path) -> None:
     asks, _ = operator(there=False)
     assert asks(MOUNT, lambda: None) == NOBODY
-    asks.listen(tmp_path)
+    asks.accept_remote_answers(tmp_path)
     assert answered_by_bert(asks, yes=True) == Reply(True, "bert")
 
 
@@ -123,7 +123,7 @@ def answered_by_bert(asks: ConsoleOperator, *, yes: bool) -> Reply:
 @pytest.mark.parametrize("yes", [True, False])
 def test_others_may_answer_while_the_console_waits(yes: bool, tmp_path: Path) -> None:
     asks, console = operator()
-    asks.listen(tmp_path)
+    asks.accept_remote_answers(tmp_path)
     assert answered_by_bert(asks, yes=yes) == Reply(yes, "bert")
     assert f"hil answer {tmp_path} yes" in console.told[1]
     assert console.told[-1].startswith("bert answered")
@@ -131,7 +131,7 @@ def test_others_may_answer_while_the_console_waits(yes: bool, tmp_path: Path) ->
 
 def test_an_answer_to_another_question_is_not_taken(tmp_path: Path) -> None:
     asks, _ = operator()
-    asks.listen(tmp_path)
+    asks.accept_remote_answers(tmp_path)
     refusals: list[str] = []
 
     def meanwhile() -> None:
@@ -140,12 +140,12 @@ def test_an_answer_to_another_question_is_not_taken(tmp_path: Path) -> None:
             asks.answer(False, "bert", MOUNT)
 
     assert asks(MOUNT, meanwhile) == Reply(False, "bert")
-    assert refusals[0] == f"the run asks something else now: {MOUNT!r}"
+    assert refusals[0] == f"the open prompt is now: {MOUNT!r}"
 
 
 def test_an_answer_to_an_earlier_prompt_of_the_same_text_is_not_taken(tmp_path: Path) -> None:
     asks, _ = operator()
-    asks.listen(tmp_path)
+    asks.accept_remote_answers(tmp_path)
     refusals: list[str] = []
 
     def twice_yes() -> None:
@@ -156,7 +156,7 @@ def test_an_answer_to_an_earlier_prompt_of_the_same_text_is_not_taken(tmp_path: 
 
     assert asks(MOUNT, twice_yes).yes
     assert asks(MOUNT, twice_yes).yes
-    over = "prompt 1 is over, the run asks its prompt 2 now"
+    over = "prompt 1 is closed; prompt 2 is open"
     assert refusals[0] == ""
     assert over in refusals[1:]
     assert len(refusals) >= 3
@@ -165,7 +165,7 @@ def test_an_answer_to_an_earlier_prompt_of_the_same_text_is_not_taken(tmp_path: 
 def test_another_run_counts_its_prompts_anew(tmp_path: Path) -> None:
     asks, _ = operator()
     for run in (tmp_path / "0001", tmp_path / "0002"):
-        asks.listen(run)
+        asks.accept_remote_answers(run)
         said: list[str] = []
 
         def meanwhile(said: list[str] = said) -> None:
@@ -178,7 +178,7 @@ def test_another_run_counts_its_prompts_anew(tmp_path: Path) -> None:
 
 def test_a_no_counts_after_a_yes_and_a_yes_not_after_a_no(tmp_path: Path) -> None:
     asks, _ = operator()
-    asks.listen(tmp_path)
+    asks.accept_remote_answers(tmp_path)
 
     def all_at_once() -> None:
         said = [asks.answer(yes, "bert", MOUNT, 1) for yes in (True, False, True)]
@@ -205,10 +205,10 @@ def test_a_no_that_was_taken_counts_whatever_is_typed_in_that_moment(
 ) -> None:
     console = LateConsole(lambda: asks.answer(yes, "bert", MOUNT, 1))
     asks = ConsoleOperator("anna", console)
-    asks.listen(tmp_path)
+    asks.accept_remote_answers(tmp_path)
     assert asks(MOUNT, lambda: None) == Reply(yes, "bert")
     assert console.said == [""]
-    assert asks.answer(False, "bert", MOUNT, 1) == "the run asks nothing"
+    assert asks.answer(False, "bert", MOUNT, 1) == "the run has no open prompt"
 
 
 def test_a_pause_asked_for_meanwhile_waits_and_the_question_is_repeated() -> None:
@@ -221,13 +221,13 @@ def test_a_pause_asked_for_meanwhile_waits_and_the_question_is_repeated() -> Non
 
 def test_enter_ends_a_pause_but_not_one_pressed_before_it() -> None:
     asks, console = operator(None, None, "")
-    assert [asks.goes_on() for _ in range(3)] == ["", "", "anna"]
+    assert [asks.pause_ended_by() for _ in range(3)] == ["", "", "anna"]
     assert console.told == ["forgot"]
 
 
 def test_a_pause_of_a_run_without_console_is_not_ended_by_it() -> None:
     asks, _ = operator("", there=False)
-    assert asks.goes_on() == ""
+    assert asks.pause_ended_by() == ""
 
 
 # --- written answers -----------------------------------------------------------------------------
@@ -249,7 +249,7 @@ ASKED = ("Remove everything from the flange", "Mount the 3 kg disc")
 
 def test_written_answers_are_given_in_order(tmp_path: Path) -> None:
     scripted = answers(tmp_path, GOOD)
-    scripted.require_match(ASKED)
+    scripted.require_answers(ASKED)
     reads: list[int] = []
     assert [scripted(text, lambda: reads.append(1)) for text in ASKED] == [
         Reply(True, "gripper"),
@@ -260,7 +260,7 @@ def test_written_answers_are_given_in_order(tmp_path: Path) -> None:
 
 def test_a_written_no_refuses_and_ends_the_asking(tmp_path: Path) -> None:
     scripted = answers(tmp_path, "[{prompt: Remove, answer: no, who: ci}]")
-    scripted.require_match(ASKED)
+    scripted.require_answers(ASKED)
     assert scripted(ASKED[0], lambda: None) == Reply(False, "ci")
 
 
@@ -281,7 +281,7 @@ def test_answers_that_do_not_fit_are_refused_before_the_run(
     text: str, told: list[str], tmp_path: Path
 ) -> None:
     with pytest.raises(SpecError) as caught:
-        answers(tmp_path, text).require_match(ASKED)
+        answers(tmp_path, text).require_answers(ASKED)
     for line, wanted in zip(caught.value.message.splitlines(), told, strict=True):
         assert re.search(wanted, line)
 
@@ -338,7 +338,7 @@ def test_every_prompt_of_a_plan_is_foreseen() -> None:
 
 def test_a_run_that_asks_and_has_nobody_to_answer_is_refused() -> None:
     nobody, _ = operator(there=False)
-    with pytest.raises(PreflightFailed, match=r"asks once for .* nobody could answer") as caught:
+    with pytest.raises(PreflightFailed, match=r"has a prompt .* no console to answer it") as caught:
         require_attended(small_plan(MOUNT), nobody)
     assert "--answers FILE" in caught.value.hint
     require_attended(small_plan(), nobody)
@@ -347,7 +347,7 @@ def test_a_run_that_asks_and_has_nobody_to_answer_is_refused() -> None:
 def test_a_run_that_asks_is_let_through_with_a_console_answers_or_a_mock(tmp_path: Path) -> None:
     attended, _ = operator()
     require_attended(small_plan(MOUNT), attended)
-    require_attended(small_plan(MOUNT), mock_mounts)
+    require_attended(small_plan(MOUNT), answer_as_mock)
     scripted = answers(tmp_path, "[{prompt: disc, answer: yes}]")
     require_attended(small_plan(MOUNT), scripted)
     with pytest.raises(SpecError, match="no prompt left"):
@@ -357,19 +357,19 @@ def test_a_run_that_asks_is_let_through_with_a_console_answers_or_a_mock(tmp_pat
 def test_a_mock_answers_itself_unless_answers_are_written(tmp_path: Path) -> None:
     console, _ = operator()
     scripted = answers(tmp_path, "[]")
-    assert prompt_on(KinematicRobot(), console) is mock_mounts
+    assert prompt_on(KinematicRobot(), console) is answer_as_mock
     assert prompt_on(KinematicRobot(), scripted) is scripted
     assert prompt_on(RealRobot(), console) is console
 
 
 def test_who_answers_from_elsewhere_is_waited_for_by_a_mock_too(tmp_path: Path) -> None:
-    desk = console_desk("anna", elsewhere=True)
+    desk = console_channel("anna", remote=True)
     asks = desk.prompt
     assert isinstance(asks, ConsoleOperator)
     assert prompt_on(KinematicRobot(), asks) is asks
     require_attended(small_plan(MOUNT), asks)
     assert not asks.attended  # nothing is read from a terminal, should there be one
-    asks.listen(tmp_path)
+    asks.accept_remote_answers(tmp_path)
     looked = []
 
     def answered_at_the_third_look() -> None:
@@ -379,7 +379,7 @@ def test_who_answers_from_elsewhere_is_waited_for_by_a_mock_too(tmp_path: Path) 
 
     assert asks(MOUNT, answered_at_the_third_look) == Reply(True, "bert")
     with pytest.raises(SpecError, match="two ways"):
-        console_desk(answers=tmp_path / "answers.yaml", elsewhere=True)
+        console_channel(answers=tmp_path / "answers.yaml", remote=True)
 
 
 # --- a real terminal -----------------------------------------------------------------------------

@@ -333,7 +333,7 @@ class Told:
             return Reply(yes=True, who="Ada")
 
         monkeypatch.setattr(MockRobot, "set_payload", declared)
-        monkeypatch.setattr(operator, "mock_mounts", asked)
+        monkeypatch.setattr(operator, "answer_as_mock", asked)
 
 
 def test_no_other_load_is_declared_before_the_one_in_force_is_confirmed(

@@ -84,7 +84,7 @@ def test_an_answer_is_to_the_question_that_was_read_and_no_later_one(tmp_path: P
         assert read_live(run)["prompt"] == "Mount it"
         answer_run(run, True, who="anna", asked=first, wait_s=0)  # a double click
         until(lambda: len(controls(run)) == 2)
-        assert controls(run)[-1]["problem"] == "prompt 1 is over, the run asks its prompt 2 now"
+        assert controls(run)[-1]["problem"] == "prompt 1 is closed; prompt 2 is open"
         assert read_live(run)["prompt"] == "Mount it"
         answer_run(run, True, who="anna")  # as `hil answer`: what it asks now
         until(lambda: moving(run))

@@ -15,7 +15,7 @@ from hil.core.errors import HilError
 from hil.engine import nobody_goes_on
 from hil.maintenance.fleet_run import Job, Manner, Workers, run_job
 from hil.recording.run_group import FleetGroup, Member
-from hil.workflow.operator import Desk
+from hil.workflow.operator import OperatorChannel
 
 TOLD = {"outcome": "completed"}
 
@@ -70,9 +70,9 @@ def test_ctrl_c_reaches_a_worker_that_has_answered(
 def test_no_operator_attends_the_run_of_a_worker(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    desks: list[Desk] = []
+    desks: list[OperatorChannel] = []
 
-    def resumed(run: Path, *, desk: Desk, **_: object) -> None:
+    def resumed(run: Path, *, desk: OperatorChannel, **_: object) -> None:
         desks.append(desk)
         raise HilError("enough")
 

@@ -196,6 +196,6 @@ def test_a_run_that_asks_for_somebody_is_refused_before_it_begins(tmp_path: Path
     write_schedule(tmp_path, campaign=asks)
     (tmp_path / "station.yaml").write_text(station, "utf-8")
     experiment = load_experiment(tmp_path / "campaign.yaml")
-    with pytest.raises(PreflightFailed, match="nobody could answer"):
+    with pytest.raises(PreflightFailed, match="no console to answer"):
         Measuring(tmp_path / "runs").measure(experiment, "weekly/1/campaign")
     assert not list(tmp_path.glob("runs/*/*/*"))

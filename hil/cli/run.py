@@ -150,13 +150,13 @@ class Attended:
         confirm: "Confirm | None",
     ) -> "RunReport":
         from hil.cli.progress import ProgressLines
-        from hil.workflow import console_desk
+        from hil.workflow import console_channel
 
-        desk = console_desk(
+        desk = console_channel(
             self.operator,
             answers=self.answers,
             wait_s=self.wait,
-            elsewhere=self.elsewhere,
+            remote=self.elsewhere,
             confirm=confirm,
         )
         with live_view(capabilities, self.live, self.live_port, self.live_host) as views:

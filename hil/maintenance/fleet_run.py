@@ -30,12 +30,12 @@ from hil.estimators import models_below
 from hil.evaluation import verdict_word
 from hil.maintenance.fleet_specs import experiment_for
 from hil.recording import FleetGroup, Member, RunDirectory, worst_error
-from hil.workflow import Together, Unconfirmed, check_driver, console_desk
+from hil.workflow import Together, Unconfirmed, check_driver, console_channel
 from hil.workflow import resume as resume_experiment
 from hil.workflow import run as run_experiment
 
 if TYPE_CHECKING:
-    from hil.workflow import Confirm, Desk, RunReport
+    from hil.workflow import Confirm, OperatorChannel, RunReport
 
 Document = dict[str, Any]
 
@@ -346,9 +346,9 @@ def run_job(job: Job) -> Document:
 
 
 def _run_attended(job: Job) -> RunReport:
-    def desk(confirm: Confirm | None) -> Desk:
+    def desk(confirm: Confirm | None) -> OperatorChannel:
         refused = Unconfirmed("start it with: hil fleet run")
-        attended = console_desk(job.operator, confirm=confirm or refused)
+        attended = console_channel(job.operator, confirm=confirm or refused)
         # A worker has no console: nothing typed ends a pause.
         return replace(attended, go_on=nobody_goes_on)
 

@@ -50,7 +50,7 @@ from hil.workflow import (
     Confirm,
     Console,
     ConsoleOperator,
-    Desk,
+    OperatorChannel,
     RunReport,
     Unconfirmed,
     describe_robot,
@@ -436,7 +436,7 @@ class Measuring:
 
     def _attendance(self) -> dict[str, Any]:
         operator = ConsoleOperator(console=_NoConsole())
-        desk = Desk(operator, nobody_goes_on, self.wait_s, self.confirm)
+        desk = OperatorChannel(operator, nobody_goes_on, self.wait_s, self.confirm)
         return {"desk": desk, "observers": self.observers, "operator": self.operator}
 
     def _require_same_robot(self, run: Path, experiment: Experiment) -> None:

@@ -35,8 +35,8 @@ from .motion_confirmation import facts_of_all as facts_of_all
 from .motion_confirmation import granted_in as granted_in
 from .motion_confirmation import motion_facts as motion_facts
 from .operator import ConsoleOperator as ConsoleOperator
-from .operator import Desk as Desk
-from .operator import console_desk as console_desk
+from .operator import OperatorChannel as OperatorChannel
+from .operator import console_channel as console_channel
 from .operator import prompts_of as prompts_of
 from .passive_recording import RecordingRequest as RecordingRequest
 from .passive_recording import record_passively as record_passively

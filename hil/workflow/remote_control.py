@@ -362,10 +362,10 @@ class Steered(Protocol):
 class Answerable(Protocol):
     """A prompt that also takes answers from elsewhere; see `hil.workflow.operator`."""
 
-    def listen(self, run: Path | None) -> None:
+    def accept_remote_answers(self, run: Path | None) -> None:
         """Accept answers to this run's prompts from now on; None ends that."""
 
-    def answer(self, yes: bool, who: str, prompt: str, asked: int = 0) -> str:
+    def answer(self, yes: bool, who: str, prompt: str, prompt_number: int = 0) -> str:
         """Take an answer; return why it was not taken, or nothing."""
 
 
@@ -400,7 +400,7 @@ class Control:
         with contextlib.suppress(OSError):  # on a full disk the run takes no requests
             (self._run / FOLDER).mkdir(exist_ok=True)
         if self._prompt is not None:
-            self._prompt.listen(self._run)
+            self._prompt.accept_remote_answers(self._run)
         self._look()  # the arm must not begin to move while a stop waits
         self._thread.start()
 
@@ -411,7 +411,7 @@ class Control:
         self._over.set()
         self._thread.join(1.0)
         if self._prompt is not None:
-            self._prompt.listen(None)
+            self._prompt.accept_remote_answers(None)
         shutil.rmtree(self._run / FOLDER, ignore_errors=True)
 
     def __enter__(self) -> Control:

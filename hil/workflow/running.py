@@ -21,7 +21,7 @@ from hil.evaluation import VerdictWord, verdict_word
 from hil.planning import Experiment, require_experiment
 from hil.recording import RunDirectory
 from hil.workflow.motion_confirmation import Confirm, Granted, Unconfirmed
-from hil.workflow.operator import Desk, console_desk
+from hil.workflow.operator import OperatorChannel, console_channel
 from hil.workflow.remote_control import hold_attempt
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ def run(
     operator: str = "",
     observers: Sequence[Observer] = (),
     waivers: Mapping[str, str] | None = None,
-    desk: Desk | None = None,
+    desk: OperatorChannel | None = None,
     robot: str | None = None,
 ) -> RunReport:
     """Plan, run, record, fit, judge and report.
@@ -93,12 +93,12 @@ def _reasons(waivers: Mapping[str, str] | None) -> dict[str, str]:
     return {check: reason.strip() for check, reason in reasons.items()}
 
 
-def _confirming(desk: Desk | None, robot: str | None, operator: str) -> Desk:
+def _confirming(desk: OperatorChannel | None, robot: str | None, operator: str) -> OperatorChannel:
     """Return the desk; the motion counts as confirmed if the call names the robot."""
     confirm: Confirm = Unconfirmed() if desk is None else desk.confirm
     if robot is not None:
         confirm = Granted("robot=", operator, {"robot": robot})
-    return replace(desk or console_desk(operator), confirm=confirm)
+    return replace(desk or console_channel(operator), confirm=confirm)
 
 
 def run_opened(
@@ -109,7 +109,7 @@ def run_opened(
     operator: str,
     observers: Sequence[Observer],
     waivers: Mapping[str, str],
-    desk: Desk,
+    desk: OperatorChannel,
 ) -> RunReport:
     """Run an experiment whose robot its caller has opened already, or None; see `run`."""
     from hil.workflow.recording import record
@@ -126,7 +126,7 @@ def _attended(
     operator: str,
     observers: Sequence[Observer],
     waivers: Mapping[str, str],
-    desk: Desk,
+    desk: OperatorChannel,
 ) -> RunReport:
     """Execute the motion, then fit, judge and report, with signals and observers throughout."""
     from hil.engine import require_waivable
@@ -191,7 +191,7 @@ def resume(
     operator: str = "",
     observers: Sequence[Observer] = (),
     waivers: Mapping[str, str] | None = None,
-    desk: Desk | None = None,
+    desk: OperatorChannel | None = None,
     robot: str | None = None,
 ) -> RunReport:
     """Resume a run that ended early: what is complete stays, the rest is measured and judged.

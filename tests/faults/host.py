@@ -28,7 +28,7 @@ from hil.planning.plan import read_plan
 from hil.recording import recorder as recorder_module
 from hil.recording.mcap_writer import McapWriter
 from hil.workflow import recording
-from hil.workflow.operator import Desk
+from hil.workflow.operator import OperatorChannel
 
 STALL_S = 6.0
 CLOCK_JUMP_S = 3600.0
@@ -192,7 +192,7 @@ def main() -> int:
             hil.load("spec.yaml", "station.yaml"),
             runs="runs",
             observers=(Injector(case, Path("happened.json")),),
-            desk=Desk(confirm, attended),
+            desk=OperatorChannel(confirm, attended),
         )
     except HilError as error:  # before there is a run
         print(error.message, file=sys.stderr)  # noqa: T201
