@@ -26,6 +26,7 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.excite_peers.pivoted import pivoted_base
 from benchmarks.excite_peers.slsqp import Slsqp
+from hil.arms import load_arm
 from hil.dynamics import CollisionModel, Environment, RobotModel, conditioning
 from hil.excitation.optimiser import optimise, within_linear_limits
 from hil.excitation.problem import ExcitationProblem, LinearLimits, margins_of
@@ -105,7 +106,7 @@ def _problem(robot: RobotModel, box_deg: float, **more: Any) -> ExcitationProble
 
 def _surroundings(robot: RobotModel) -> dict[str, Any]:
     """A table the arm stands on, 30 mm from it and from the arm itself, torques within limits."""
-    collision = CollisionModel.for_model(robot, Environment(table_z=0.0))
+    collision = CollisionModel(load_arm(ARM), Environment(table_z=0.0))
     return {
         "collision": collision,
         "clearance_m": CLEARANCE_M,

@@ -13,7 +13,15 @@ from scipy.spatial.transform import Rotation
 from hil.arms import Capsule, load_arm
 from hil.arms.payload import Payload
 from hil.core.errors import DataError
-from hil.dynamics import Box, CollisionModel, Environment, Plane, RobotModel, payload_capsule
+from hil.dynamics import (
+    Box,
+    CollisionModel,
+    Environment,
+    Plane,
+    RobotModel,
+    payload_capsule,
+    smallest_distance_along_path,
+)
 
 UP = np.radians([0, -90, 0, -90, 0, 0])
 """Upright: every arm is clear of itself."""
@@ -190,42 +198,56 @@ def test_payload_body_is_sized_by_mass_and_centre():
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_path_clearance_is_the_least_of_all_samples(seed):
+def test_the_path_search_is_the_least_of_all_samples(seed):
     q = sampled_path(seed)
     box = Box((0.5, 0.3, 0.4), (0.2, 0.2, 0.2))
     wall = Plane((0.0, 0.9, 0.0), (0.0, -1.0, 0.0))
     for around in (Environment(), Environment(-0.2), Environment(0.0, (wall,), (box,))):
         model = CollisionModel(load_arm("ur5"), around)
         every = model.clearance(q)
-        least, index = model.path_clearance(q)
+        least, index = smallest_distance_along_path(q, model.distances, model.reach)
         assert least == pytest.approx(every.min(), abs=1e-9)
         assert every[index] == least
 
 
-def test_path_clearance_finds_a_dip_of_a_single_sample():
+def test_the_path_search_finds_a_dip_of_a_single_sample():
     model = CollisionModel(load_arm("ur5"))
     q = np.tile(HOME, (100, 1))
     q[53] = FOLDED
-    least, index = model.path_clearance(q)
+    least, index = smallest_distance_along_path(q, model.distances, model.reach)
     assert index == 53
     assert least == pytest.approx(model.clearance(FOLDED[None])[0])
 
 
-def test_path_clearance_skips_what_is_proven_clear():
+def test_the_path_search_skips_what_is_proven_clear():
     model = CollisionModel(load_arm("ur5"), Environment(table_z=0.0))
     asked = []
     distances = model.distances
     model.distances = lambda q: asked.append(len(q)) or distances(q)
     q = sampled_path(7, samples=20000)
-    model.path_clearance(q)
+    smallest_distance_along_path(q, model.distances, model.reach)
     assert sum(asked) < 0.1 * len(q)
 
 
 def test_a_path_of_one_sample_is_a_path():
     model = CollisionModel(load_arm("ur5"))
-    assert model.path_clearance(HOME[None]) == (model.clearance(HOME[None])[0], 0)
-    with pytest.raises(DataError, match="without samples"):
-        model.path_clearance(np.empty((0, 6)))
+    assert smallest_distance_along_path(HOME[None], model.distances, model.reach) == (
+        model.clearance(HOME[None])[0],
+        0,
+    )
+
+
+@pytest.mark.parametrize("q", [np.empty((0, 6)), np.array([HOME, HOME * np.nan])])
+def test_a_path_that_cannot_be_checked_is_refused(q):
+    model = CollisionModel(load_arm("ur5"))
+    with pytest.raises(DataError, match="has no clearance"):
+        smallest_distance_along_path(q, model.distances, model.reach)
+
+
+def test_where_nothing_is_checked_nothing_is_close():
+    arm = load_arm("ur5")
+    model = CollisionModel(replace(arm, capsules=arm.capsules[:1]))
+    assert model.closest(HOME) == (np.inf, ("", ""))
 
 
 @settings(max_examples=60, deadline=None)

@@ -6,7 +6,7 @@ from dynamics_arms import motion, urdf, written
 
 from hil.arms.payload import Payload
 from hil.core.errors import SpecError
-from hil.dynamics import CollisionModel, RobotModel, load_model
+from hil.dynamics import RobotModel, load_model
 
 pytestmark = pytest.mark.quick
 
@@ -156,10 +156,3 @@ def test_all_problems_of_a_urdf_are_reported_at_once(tmp_path):
     with pytest.raises(SpecError) as caught:
         load_model(written(tmp_path, text))
     assert len(caught.value.message.splitlines()) == 2
-
-
-def test_collision_checks_need_capsules(tmp_path):
-    model = load_model(written(tmp_path, urdf("ur5")))
-    with pytest.raises(SpecError, match="it has no capsules") as caught:
-        CollisionModel.for_model(model)
-    assert "built-in arm" in caught.value.hint

@@ -120,7 +120,7 @@ def test_jerk_and_nominal_torque_are_kept() -> None:
 
 
 def test_distance_to_table_and_self_is_kept() -> None:
-    collision = CollisionModel.for_model(ROBOT, Environment(table_z=0.0))
+    collision = CollisionModel(ROBOT.arm, Environment(table_z=0.0))
     given = problem(collision=collision, clearance_m=0.03)
     clear = optimise(given, starts=1, seed=1, iterations=12)
     least = collision.clearance(clear.series.sample(RATE_HZ).q).min()
@@ -130,7 +130,7 @@ def test_distance_to_table_and_self_is_kept() -> None:
 
 
 def test_gradients_of_distances_and_torques_are_those_of_finite_differences() -> None:
-    collision = CollisionModel.for_model(ROBOT)
+    collision = CollisionModel(ROBOT.arm)
     given = problem(collision=collision, clearance_m=0.03, effort_max=50.0)
     limits = MotionLimits(given)
     free = within_linear_limits(LinearLimits(given), np.random.default_rng(2))
@@ -183,7 +183,7 @@ def test_a_torque_that_cannot_hold_the_arm_is_a_plan_error_that_names_the_joint(
 
 def test_a_wall_nothing_can_keep_clear_of_is_a_plan_error_that_names_the_bodies() -> None:
     behind = Plane(point=(1.5, 0.0, 0.0), normal=(1.0, 0.0, 0.0))
-    collision = CollisionModel.for_model(ROBOT, Environment(walls=(behind,)))
+    collision = CollisionModel(ROBOT.arm, Environment(walls=(behind,)))
     with pytest.raises(PlanError, match="and wall come as near as"):
         optimise(replace(problem(), collision=collision), starts=1, seed=0, iterations=5)
 

@@ -97,7 +97,7 @@ class Lever:
     def distances(self, q: FloatArray) -> FloatArray:
         return np.asarray(1.0 - self.reach @ q.T)
 
-    def own(self) -> Lever:
+    def copy_for_thread(self) -> Lever:
         return self
 
 

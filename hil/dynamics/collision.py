@@ -1,4 +1,4 @@
-"""How far an arm is from itself, its payload from it, and both from what stands around.
+"""Signed distances of an arm to itself, its payload and its surroundings.
 
 Bodies are capsules that move with the links. Distances are computed with numpy for blocks of
 samples, which is as fast as Pinocchio's `computeDistances` sample by sample (3 µs for the UR5's
@@ -14,16 +14,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hil.arms import ArmDescription, Capsule, Payload
 from hil.core import BoolArray, DataError, FloatArray, IntArray, SpecError
-
-if TYPE_CHECKING:
-    from hil.dynamics.robot_model import RobotModel
-
 
 Vector = tuple[float, float, float]
 
@@ -93,7 +88,7 @@ class Environment:
 
 
 PAYLOAD_RADIUS_MIN = 0.03
-"""[m]"""
+"""Smallest radius of a payload's body [m]."""
 
 
 def payload_capsule(payload: Payload, link: int, radius: float | None = None) -> Capsule | None:
@@ -133,7 +128,7 @@ class Obstacle:
 
     Attributes:
         name: For messages.
-        shape: Where it is.
+        shape: Its plane or box.
         bodies: Indices of the capsules that are checked against it.
     """
 
@@ -156,15 +151,16 @@ BUILT_TOGETHER_M = 0.03
 arm beside the base, the shoulder above the table that the base stands on."""
 
 NEXT_BUT_ONE = 2
-"""Between links so many joints apart, distances depend on two joints: all positions are tried."""
+"""Links this many joints apart: their distance depends on two joints, so all positions are
+sampled."""
 
 
 class CollisionModel:
     """Distances of an arm to itself and to its environment.
 
-    Checked are the bodies of links that are not neighbours, and those of moving links against
-    table, walls and boxes. Left out are bodies next but one to each other that cannot touch in any
-    position or are always close together: no margin between them could be asked for.
+    Checked: all pairs of non-neighbouring links, and moving links against table, walls and boxes.
+    Not checked: pairs two joints apart that cannot touch in any position, or that are never more
+    than `BUILT_TOGETHER_M` apart.
 
     Args:
         arm: The arm with its capsules.
@@ -176,7 +172,7 @@ class CollisionModel:
         capsules: Its bodies, then that of the load.
         obstacles: What stands around it.
         pairs: (P, 2) indices of the capsules that are checked against each other.
-        names: (R,) between which two bodies each distance is: the pairs, then every capsule and
+        names: (R,) the two bodies of each distance: the pairs, then every capsule and
             what stands around it.
         reach: (R, n) metres that a distance can change per radian of each joint, at most.
 
@@ -202,7 +198,7 @@ class CollisionModel:
         self._radii = np.array([capsule.radius for capsule in self.capsules])[:, None]
         self.pairs = np.argwhere(links[None, :] - links[:, None] > NEIGHBOURS)
         self.pairs = self.pairs[self._can_touch(arm, links)]
-        self.obstacles = self._around(environment or Environment(), arm, links)
+        self.obstacles = self._obstacles_of(environment or Environment(), arm, links)
         # One row per pair of capsules, then one per capsule and obstacle.
         near = [(obstacle.name, body) for obstacle in self.obstacles for body in obstacle.bodies]
         self.names: list[tuple[str, str]] = [(names[i], names[j]) for i, j in self.pairs]
@@ -211,50 +207,20 @@ class CollisionModel:
         reach += [self._chain.reach(0, body) for _, body in near]
         self.reach = np.array(reach).reshape(-1, arm.n_joints)
 
-    @classmethod
-    def for_model(
-        cls,
-        model: RobotModel,
-        environment: Environment | None = None,
-        payload: Capsule | None = None,
-    ) -> CollisionModel:
-        """The collision model of a built-in arm.
-
-        Raises:
-            SpecError: The model comes from a URDF, for which there are no capsules.
-        """
-        if model.arm is None:
-            raise SpecError(
-                f"collisions cannot be checked for {model.name}: it has no capsules",
-                hint="use a built-in arm; `hil.arms` lists them",
-            )
-        return cls(model.arm, environment, payload)
-
     def clearance(self, q: FloatArray) -> FloatArray:
         """(N,) smallest distance [m] over everything checked, for `q` (N, n); negative inside."""
         return np.asarray(self.distances(q).min(axis=0, initial=np.inf))
 
     def closest(self, q: FloatArray) -> tuple[float, tuple[str, str]]:
-        """The smallest distance [m] at `q` (n,) and between which two bodies."""
+        """The smallest distance [m] at `q` (n,) and its two bodies; inf if nothing is checked."""
         distances = self.distances(np.atleast_2d(q))[:, 0]
+        if len(distances) == 0:
+            return np.inf, ("", "")
         row = int(distances.argmin())
         return float(distances[row]), self.names[row]
 
-    def path_clearance(self, q: FloatArray) -> tuple[float, int]:
-        """The smallest distance [m] over all samples of a path `q` (N, n), and that sample's index.
-
-        The same as the least of `clearance(q)`, to a nanometre; samples that are proven to be
-        clear by more than it are not computed (`hil.dynamics.collision`).
-
-        Raises:
-            DataError: The path has no samples.
-        """
-        if len(q) == 0:
-            raise DataError("a path without samples has no clearance")
-        return least_along(q, self.distances, self.reach)
-
-    def own(self) -> CollisionModel:
-        """The same: it keeps nothing from one call to the next."""
+    def copy_for_thread(self) -> CollisionModel:
+        """Return self: there is no scratch memory to share between threads."""
         return self
 
     def distances(self, q: FloatArray) -> FloatArray:
@@ -287,7 +253,7 @@ class CollisionModel:
         return np.asarray(gap - self._radii[bodies])
 
     def _can_touch(self, arm: ArmDescription, links: IntArray) -> BoolArray:
-        """(P,) whether a pair needs checking: all but those next but one that are built together.
+        """(P,) which pairs to check: all, except pairs two joints apart that never or always touch.
 
         A pair that is apart at every position tried is apart everywhere, if it is so by more than
         it can move in half a step.
@@ -300,7 +266,7 @@ class CollisionModel:
         first, second = links[self.pairs.T]
         return np.asarray((second - first > NEXT_BUT_ONE) | ~(never | always))
 
-    def _around(
+    def _obstacles_of(
         self, environment: Environment, arm: ArmDescription, links: IntArray
     ) -> list[Obstacle]:
         moving = np.flatnonzero(links > 0)
@@ -309,13 +275,13 @@ class CollisionModel:
         if environment.table is not None:
             table = Obstacle("table", environment.table, moving)
             highest = self._gaps(table, *self._chain.axes(_every_two_joints(arm)[0])).max(axis=1)
-            off_it = moving[highest > BUILT_TOGETHER_M]
-            obstacles.append(Obstacle("table", environment.table, off_it))
+            above_table = moving[highest > BUILT_TOGETHER_M]
+            obstacles.append(Obstacle("table", environment.table, above_table))
         return obstacles
 
 
 GRID = 96
-"""Positions per joint that are tried to find such bodies."""
+"""Grid points per joint for finding pairs that never or always touch."""
 
 
 def _every_two_joints(arm: ArmDescription) -> tuple[FloatArray, FloatArray]:
@@ -351,8 +317,8 @@ class FlangeSpace:
         reach = [self._chain.reach(0, point) for point in range(len(points))]
         self.reach = np.array(len(faces) * reach).reshape(-1, arm.n_joints)
 
-    def own(self) -> FlangeSpace:
-        """The same: it keeps nothing from one call to the next."""
+    def copy_for_thread(self) -> FlangeSpace:
+        """Return self: there is no scratch memory to share between threads."""
         return self
 
     def distances(self, q: FloatArray) -> FloatArray:
@@ -512,13 +478,13 @@ def dot(x: FloatArray, y: FloatArray) -> FloatArray:
 
 
 STRIDE = 16
-"""Samples between those that are looked at first."""
+"""Coarse step of the search [samples]."""
 
 TIE_M = 1e-9
-"""Nothing is gained by looking for what is lower by less."""
+"""Improvements smaller than this are ignored [m]."""
 
 
-def least_along(
+def smallest_distance_along_path(
     q: FloatArray, distances: Callable[[FloatArray], FloatArray], reach: FloatArray
 ) -> tuple[float, int]:
     """The smallest of all distances over all samples of a path, and the index of its sample.
@@ -532,7 +498,15 @@ def least_along(
         q: (N, n) positions, N ≥ 1.
         distances: Gives (R, N) distances [m] for any positions (N, n).
         reach: (R, n) metres that a distance can change per radian of each joint.
+
+    Raises:
+        DataError: The path has no samples, or its positions are not finite.
     """
+    if len(q) == 0 or not np.isfinite(q).all():
+        raise DataError(
+            "a path without samples, or with positions that are not finite, has no clearance",
+            hint="check the positions of the path",
+        )
     turned = np.vstack([np.zeros(q.shape[1]), np.abs(np.diff(q, axis=0)).cumsum(axis=0)])
     at = np.unique(np.append(np.arange(0, len(q), STRIDE), len(q) - 1))
     found = distances(q[at])

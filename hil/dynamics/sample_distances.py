@@ -41,7 +41,7 @@ class SampleDistances:
                 self._geometry.addCollisionPair(pin.CollisionPair(int(body), other))
         self._data, self._found = self._model.createData(), self._geometry.createData()
 
-    def own(self) -> SampleDistances:
+    def copy_for_thread(self) -> SampleDistances:
         """The same distances, with scratch memory for another thread."""
         other = copy.copy(self)
         vars(other).update(_data=self._model.createData(), _found=self._geometry.createData())

@@ -164,7 +164,7 @@ class Distances(Protocol):
     def distances(self, q: FloatArray) -> FloatArray:
         """Return (R, N) distances [m] at `q` (N, n)."""
 
-    def own(self) -> Distances:
+    def copy_for_thread(self) -> Distances:
         """Return the same distances for another thread."""
 
 
@@ -616,7 +616,7 @@ class LeastDistance:
         self.watches = shown or f"{1e3 * least_m:.4g} mm"
         self.computed = 0
         # `margin` is asked on another thread and needs distances of its own.
-        self._measured, self._looked = measured, measured.own()
+        self._measured, self._looked = measured, measured.copy_for_thread()
         self._least = least_m
         self._before: StructArray | None = None
         self._n = measured.reach.shape[1]

@@ -14,7 +14,14 @@ import numpy as np
 
 from hil.arms import ArmDescription, Payload
 from hil.core import FloatArray, KeyPath, PlanError
-from hil.dynamics import FlangeSpace, Plane, RobotModel, base_parameters, conditioning, least_along
+from hil.dynamics import (
+    FlangeSpace,
+    Plane,
+    RobotModel,
+    base_parameters,
+    conditioning,
+    smallest_distance_along_path,
+)
 from hil.excitation import Motion, Space, Workspace, outside
 from hil.planning.plan import Extremes, LoadStep, Step, extremes_of
 from hil.spec import (
@@ -365,7 +372,7 @@ def interlock_margins(
 def _least(space: FlangeSpace, steps: Sequence[Step], rate_hz: float) -> tuple[float, str]:
     """The smallest distance of steps that move to a face, and what is wrong with it."""
     paths = [step.motion.sample(rate_hz).q for step in steps if step.motion is not None]
-    found = [least_along(q, space.distances, space.reach) for q in paths]
+    found = [smallest_distance_along_path(q, space.distances, space.reach) for q in paths]
     at, (least, sample) = min(enumerate(found), key=lambda item: item[1][0])
     if least >= 0:
         return least, ""
