@@ -9,8 +9,8 @@ gone when the last descriptor is, however the process ends; but a file system wi
 network mount whose locks end at each host, does not show it. There the heartbeat decides: the
 holder touches the file every second, and counts as alive for `FRESH_S` after the last touch.
 
-`hold_folder` is the same for a folder (`FOLDER/.lock`) with errors for people, `hold_run` for a run
-directory, which is live as long as it is held.
+`hold_folder` locks a folder (`FOLDER/.lock`) and raises a readable error if it is held; `hold_run`
+does so for a run directory, which counts as live while locked.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class Holder:
 
     @property
     def id(self) -> str:
-        """Differs between any two holdings, also of one process."""
+        """Unique per acquisition, also within one process."""
         return str(self.content.get("id", ""))
 
     @property

@@ -223,7 +223,7 @@ async def plan_in_process(
         `plans`, see `shown_plan`, and `digest`, see `experiments_digest`.
 
     Raises:
-        HilError: There is no plan, or it took too long, or too much memory.
+        HilError: Planning failed, exceeded its time limit or exceeded its memory limit.
         ClientGone: The client has left.
     """
     process = subprocess.Popen(  # noqa: S603 - our own module

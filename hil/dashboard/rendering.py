@@ -148,9 +148,10 @@ def _explained(error: Exception) -> tuple[int, str, str]:
     if isinstance(error, OSError):
         where = f"{error.filename}: " if error.filename else ""
         message = f"cannot read or write {where}{error.strerror or error}"
-        return 500, message, "see whether it exists, may be read and written, and the disk has room"
+        hint = "check that the file exists, is readable and writable, and that the disk has space"
+        return 500, message, hint
     if isinstance(error, HTTPException):
         return error.status_code, *_HTTP.get(error.status_code, (error.detail, ""))
     # A mistake of ours on one page: an operator still has all others, and Stop.
     message = f"this page could not be made: {type(error).__name__}: {error}"
-    return 500, message, "the terminal of hil serve has the details"
+    return 500, message, "details are in the terminal of `hil serve`"

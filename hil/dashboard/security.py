@@ -157,7 +157,7 @@ def _same_origin(headers: Headers) -> bool:
 
 
 def _host_of(origin: str) -> str:
-    """Return host and port of an origin; empty if it is none."""
+    """Return host and port of an origin; an empty string if it is not a valid origin."""
     try:
         return urlsplit(origin).netloc
     except ValueError:

@@ -1,8 +1,8 @@
 """Zero-phase filtering, differentiation and down-sampling, series by series.
 
 `prepare` adds filtered columns to a dataset, `filter_columns` filters the columns of a regressor
-like the effort, and `downsample` then leaves out the samples that a fit does not need. Below stand
-the parts they share: settings, low-pass filter, derivatives.
+like the effort, and `downsample` then leaves out the samples that a fit does not need. They share
+settings, low-pass filter and derivatives, defined below.
 
 The defaults are the preprocessing of Mamedov & Mikhel (Front. Robot. AI 7, 2020) for the UR10e,
 confirmed on their recordings: measured velocity filtered by a Butterworth filter of order 5 run
@@ -183,8 +183,8 @@ def filter_columns(values: FloatArray, dataset: Dataset, settings: FilterSetting
     filtering; Gautier 1997). Series at rest stay as they are, as their effort does.
 
     Args:
-        values: (N, …), a row per row of the dataset. Best before `downsample`: afterwards the
-            filter is at the same frequency, but columns with steps have folded.
+        values: (N, …), a row per row of the dataset. Call before `downsample`: afterwards, columns
+            with steps are aliased.
         dataset: Where series begin and how fast they were sampled.
         settings: Those the effort was filtered with.
 
@@ -239,7 +239,9 @@ PAUSE_STEPS = 3.0
 
 
 def zero_phase(values: FloatArray, fraction: float, order: int = 5) -> FloatArray:
-    """Return values after a Butterworth filter run forwards and backwards along axis 0.
+    """Return values filtered along axis 0 by a Butterworth low-pass, with zero phase.
+
+    It runs forwards and backwards.
 
     Args:
         values: (N,) or (N, …).

@@ -76,8 +76,8 @@ def load_source(
 ) -> Dataset:
     """Return the samples of a run directory or of one MCAP file, in series with their conditions.
 
-    A run's plan says which step every sample belongs to; a step recorded several times (after a
-    stop and a resume) counts once, as it was recorded last. An imported file is one trajectory,
+    A run's plan says which step every sample belongs to. If a step was recorded more than once
+    (stop and resume), its last recording is used. An imported file is one trajectory,
     or one per window of its map. Rows that the robot marked as unusable and those at another speed
     than planned are left out, repeated time stamps too, and a pause in the time stamps cuts a
     series in two.
@@ -114,12 +114,14 @@ def with_payload(dataset: Dataset, payload: Payload) -> Dataset:
 
 
 def gravity_of(source: Path) -> tuple[float, float, float]:
-    """Return gravity in the base frame [m/s²] of a source; upright unless it says otherwise.
+    """Return gravity in the base frame of a source [m/s²].
+
+    It is that of an upright base if the source does not state it.
 
     Raises:
         DataError: The source is missing, damaged or from a newer hil, or has another value there.
     """
-    with reading(f"{source}: what it says about the robot"):
+    with reading(f"{source}: its robot description"):
         return _vector(_robot_of(source).get("gravity_m_s2", UPRIGHT), "gravity_m_s2")
 
 
@@ -392,7 +394,7 @@ def _origin_of_run(start: Mapping[str, Any], source: str) -> Origin:
 
 def _origin_of_import(robot: Mapping[str, str], source: str) -> Origin:
     """Return the origin of an imported file's samples; its lists are JSON text."""
-    with reading(f"{source}: what it says about the robot"):
+    with reading(f"{source}: its robot description"):
         as_json = ("joint_names", "drive_gains")
         lists = {key: json.loads(robot[key]) for key in as_json if robot.get(key)}
         return _origin({**robot, **lists}, source)

@@ -268,7 +268,7 @@ def _terminate(process: BaseProcess) -> None:
 
 
 GONE_S = 10.0
-"""Within this time a worker that has answered should have ended by itself [s]."""
+"""A worker that has replied must exit within this time [s], else it is terminated."""
 
 
 def _wait_until_gone(process: BaseProcess) -> None:

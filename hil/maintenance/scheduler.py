@@ -325,8 +325,7 @@ _GRACE_S = 12 * 3600
 class WallClock:
     """The computer's clock, with APScheduler to wake the thread that sleeps; a context manager.
 
-    Work is done by the thread that sleeps and not by APScheduler's: runs handle signals, which
-    reach the main thread alone.
+    Work is done on the main thread: only it receives signals.
     """
 
     def __init__(self) -> None:

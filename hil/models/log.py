@@ -490,7 +490,7 @@ class Repair:
         lost: Versions whose folders are missing: they have no role any more.
         aliases: Champion and challenger now.
         source: File that these are from.
-        aside: Folder with the files as they were.
+        aside: Folder with a backup of the files before the repair.
     """
 
     problem: str

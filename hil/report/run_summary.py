@@ -366,7 +366,7 @@ DOUBTFUL = {
 
 
 def weighing_warnings(facts: RunFacts) -> list[str]:
-    """A sentence for every load that may not be the declared one and was measured all the same."""
+    """Return a warning for every load that was measured although the payload check doubted it."""
     newest = {e.get("load"): e for e in facts.events_of("weighing") if e.get("result") != "skipped"}
     return [
         f"{doubtful}: {load_name(facts, event.get('load'))}: {_weighing_problem(event)}."

@@ -51,7 +51,7 @@ RobotAddresses = Annotated[
         "`{ur5: 192.168.0.5}`; mocks and loopback addresses need no entry."
     ),
 ]
-"""Of files whose runs move robots without a person at each motion."""
+"""`robots:` key of schedules and other files whose runs move robots unattended."""
 
 
 class Strict(BaseModel):

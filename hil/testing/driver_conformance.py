@@ -413,9 +413,9 @@ def rows_are_in_the_units_they_say(robot: Robot) -> None:
         "time in s?"
     )
 
-    said = 1.0 / float(np.median(np.diff(t)))
-    assert abs(said - can.rate_hz) < RATE_SHARE * can.rate_hz, (
-        f"rows are {said:.4g} a second of device time, capabilities say {can.rate_hz:g}"
+    measured = 1.0 / float(np.median(np.diff(t)))
+    assert abs(measured - can.rate_hz) < RATE_SHARE * can.rate_hz, (
+        f"measured rate {measured:.4g} Hz (device time), capabilities state {can.rate_hz:g} Hz"
     )
     if can.clock == "wall":
         off = abs(float(rows["host_time"][-1]) - time.time())

@@ -405,7 +405,7 @@ def fit_or_continue(
 
 
 def forget_training(run: Path) -> None:
-    """Remove the trainings of a run that is judged."""
+    """Delete the training checkpoints of a run once it has a verdict."""
     shutil.rmtree(run / TRAINING, ignore_errors=True)
 
 

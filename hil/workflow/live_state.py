@@ -200,7 +200,7 @@ class ArmView:
         self._interlocks = [one for one in interlocks if isinstance(one, HasMargin)]
 
     def of(self, rows: StructArray) -> dict[str, Any]:
-        """Return the last of some state rows, as `arm` and `interlocks` of the live view.
+        """Return the last row as the `arm` and `interlocks` entries of the live view.
 
         An interlock without a margin is left out.
         """

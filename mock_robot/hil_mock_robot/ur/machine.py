@@ -414,7 +414,7 @@ class HeatGuard:
 SUPPLY_V = 48.0
 
 STANDBY_A = 0.5
-"""Current of control box and joint electronics at 48 V."""
+"""Current that control box and joint electronics draw from the 48 V supply [A]."""
 
 WINDING_OHM = 1.0
 """Heat in each motor and its amplifier per square of its current: a usual value."""
