@@ -196,11 +196,11 @@ def test_a_program_that_does_not_compile_is_no_reason_to_be_slow(model, monkeypa
 
 @needs_compiler
 def test_a_library_that_cannot_be_loaded_is_told(model, monkeypatch) -> None:
-    def built(folder, *_):
+    def compile_program(folder, *_):
         (folder / "hil.so").write_text("no library", "utf-8")
         return folder / "hil.so"
 
-    monkeypatch.setattr(predictor, "built", built)
+    monkeypatch.setattr(predictor, "compile_program", compile_program)
     with pytest.raises(PluginError, match="cannot be loaded"):
         Predictor(model)
 

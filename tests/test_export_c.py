@@ -14,8 +14,8 @@ from hil.core.errors import FitError, PluginError, RecordingError, SpecError
 from hil.estimators import estimator
 from hil.estimators.friction_library import groups
 from hil.export.agreement import golden_of
-from hil.export.c import array, c_source, export_c, number
-from hil.export.c_compiler import STRICT, built, compiler, self_tested
+from hil.export.c import array_literal, c_source, export_c, literal
+from hil.export.c_compiler import STRICT, compile_program, compiler, run_self_test
 from hil.export.program import GROUPS, program_of
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
@@ -60,7 +60,7 @@ def test_it_compiles_without_warnings_wherever_it_is_asked(name, models, tmp_pat
     for flags in (("-O0",), ("-O3", "-march=native")):
         command = [name, *STRICT, *flags, "arm.c", "arm_test.c", "-lm", "-o", "t"]
         subprocess.run(command, cwd=told.out, check=True)
-        assert "largest difference" in self_tested(told.out, told.out / "t")
+        assert "largest difference" in run_self_test(told.out, told.out / "t")
 
 
 @needs_compiler
@@ -68,10 +68,10 @@ def test_it_does_nothing_undefined(models, tmp_path) -> None:
     told = export_c(models("rigid-hysteresis everything"), tmp_path / "out")
     flags = ("-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
     try:
-        program = built(told.out, ("hil.c", "hil_test.c"), "t", flags)
+        program = compile_program(told.out, ("hil.c", "hil_test.c"), "t", flags)
     except FitError as error:
         pytest.skip(f"sanitizers cannot be linked: {error.message[:80]}")
-    assert "largest difference" in self_tested(told.out, program)
+    assert "largest difference" in run_self_test(told.out, program)
 
 
 @pytest.mark.quick
@@ -83,7 +83,7 @@ def test_the_self_test_fails_for_another_model(models, tmp_path) -> None:
     assert bent != source
     (told.out / "hil.c").write_text(bent, "utf-8")
     with pytest.raises(FitError, match="does not agree with the model"):
-        self_tested(told.out, built(told.out, ("hil.c", "hil_test.c"), "t"))
+        run_self_test(told.out, compile_program(told.out, ("hil.c", "hil_test.c"), "t"))
 
 
 def test_every_group_of_the_friction_library_can_be_written() -> None:
@@ -93,12 +93,16 @@ def test_every_group_of_the_friction_library_can_be_written() -> None:
 def test_numbers_come_back_to_the_same_bits() -> None:
     random = np.random.default_rng(0)
     values = random.normal(size=50) * 10.0 ** random.integers(-300, 300, 50)
-    assert all(float(number(value)) == value for value in values)
+    assert all(float(literal(value)) == value for value in values)
     single = values.clip(-1e30, 1e30).astype(np.float32)
-    assert all(np.float32(number(v, "float").rstrip("f")) == v for v in single)
-    assert "a[2][2] = {\n{1.0, 2.0},\n{3.0, 4.0}};" in array("a", np.array([[1, 2], [3, 4]]))
+    assert all(np.float32(literal(v, "float").rstrip("f")) == v for v in single)
+    assert "a[2][2] = {\n{1.0, 2.0},\n{3.0, 4.0}};" in array_literal(
+        "a", np.array([[1, 2], [3, 4]])
+    )
     with pytest.raises(ValueError, match="nan"):
-        number(float("nan"))
+        literal(float("nan"))
+    with pytest.raises(ValueError, match="1e\\+300 cannot be a constant"):
+        literal(1e300, "float")
 
 
 @pytest.mark.quick

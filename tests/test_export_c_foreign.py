@@ -8,7 +8,7 @@ import pytest
 from export_arms import TURNED, fitted_robot, from_text
 
 from hil.control.predictor import Predictor
-from hil.export.c import c_source, comment, export_c
+from hil.export.c import c_source, comment_text, export_c
 from hil.export.c_compiler import STRICT, asked, compiler
 from hil.export.program import program_of
 
@@ -26,7 +26,7 @@ def test_odd_names_stay_in_their_comment(name, model, tmp_path) -> None:
         pytest.skip("there is no C compiler")
     program = replace(program_of(model), joint_names=("x", name, "r"), estimator=name)
     for told in ("", f"rigid-wls of {name}"):
-        source = c_source(program, told=told)
+        source = c_source(program, model_title=told)
         for file, text in (("hil.h", source.header), ("hil.c", source.source)):
             (tmp_path / file).write_text(text, "utf-8")
             assert text.count("/*") == text.count("*/")
@@ -38,7 +38,7 @@ def test_odd_names_stay_in_their_comment(name, model, tmp_path) -> None:
 
 
 def test_what_names_usually_are_stays_readable() -> None:
-    assert comment("shoulder_pan-1.5, UR5+ e") == "shoulder_pan-1.5, UR5+ e"
+    assert comment_text("shoulder_pan-1.5, UR5+ e") == "shoulder_pan-1.5, UR5+ e"
 
 
 def test_a_model_folder_cannot_bring_code_along(tmp_path) -> None:

@@ -18,7 +18,7 @@ from hil.core.errors import FitError
 from hil.estimators import estimator
 from hil.export.agreement import motion
 from hil.export.c import c_source, export_c
-from hil.export.c_compiler import STRICT, built, compiler, self_tested
+from hil.export.c_compiler import STRICT, compile_program, compiler, run_self_test
 from hil.export.program import program_of
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
@@ -85,12 +85,12 @@ def test_nothing_undefined_happens_however_far_a_motion_goes(case, tmp_path) -> 
     (told.out / "far.c").write_text(FAR, "utf-8")
     for main in ("far.c", "hil_test.c"):
         try:
-            program = built(told.out, ("hil.c", main), "t", SANITIZED)
+            program = compile_program(told.out, ("hil.c", main), "t", SANITIZED)
         except FitError as error:
             if "cannot find" not in error.message:
                 raise
             pytest.skip(f"sanitizers cannot be linked: {error.message[:80]}")
-        self_tested(told.out, program)
+        run_self_test(told.out, program)
 
 
 def test_parts_are_those_of_a_prediction() -> None:

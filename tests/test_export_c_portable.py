@@ -14,7 +14,7 @@ from export_c_folders import fitted
 from json_models import fitted as small
 
 from hil.core.errors import SpecError
-from hil.export.c import TAKEN, c_source
+from hil.export.c import RESERVED, c_source
 from hil.export.c_compiler import STRICT, asked, compiler
 from hil.export.program import program_of
 
@@ -80,7 +80,7 @@ def test_coefficients_that_are_exactly_0_leave_nothing_unused(share, tmp_path) -
 
 @pytest.mark.parametrize("prefix", ["test", "all", "stdio", "stddef", "stdint", "math", "int"])
 def test_a_prefix_that_cmake_or_c_needs_is_refused(prefix) -> None:
-    assert prefix in TAKEN
+    assert prefix in RESERVED
     with pytest.raises(SpecError, match="for something else"):
         c_source(program_of(small("rigid-wls")), prefix)
 

@@ -11,7 +11,7 @@ from hil.core.errors import FitError
 from hil.estimators import estimator
 from hil.estimators.diffnea_friction import FORMS
 from hil.export.c import export_c
-from hil.export.c_compiler import built, compiler, self_tested
+from hil.export.c_compiler import compile_program, compiler, run_self_test
 from hil.export.program import program_of
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
@@ -48,10 +48,10 @@ def test_it_does_nothing_undefined(models, tmp_path) -> None:
     told = export_c(models("memory"), tmp_path / "out")
     flags = ("-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
     try:
-        program = built(told.out, ("hil.c", "hil_test.c"), "t", flags)
+        program = compile_program(told.out, ("hil.c", "hil_test.c"), "t", flags)
     except FitError as error:
         pytest.skip(f"sanitizers cannot be linked: {error.message[:80]}")
-    assert "largest difference" in self_tested(told.out, program)
+    assert "largest difference" in run_self_test(told.out, program)
 
 
 def test_gears_carry_what_the_fit_took_them_to(models) -> None:

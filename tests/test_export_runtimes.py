@@ -52,12 +52,12 @@ def test_onnx_says_what_the_model_of_any_arm_says(arm, folder, tmp_path) -> None
 
 
 def test_units_are_told_joint_by_joint(folder) -> None:
-    said = json.loads(module_of(fitted_arm("sliding", folder)).told()["units"])
+    said = json.loads(module_of(fitted_arm("sliding", folder)).metadata()["units"])
     assert said["q"] == SLIDES
     assert said["qdd"] == [f"{one}/s2" for one in SLIDES]
     assert said["effort"] == ["N*m", "N", "N*m"]
     assert len(said["load"]) == 10
-    turning = json.loads(module_of(fitted_arm("panda", folder)).told()["units"])
+    turning = json.loads(module_of(fitted_arm("panda", folder)).metadata()["units"])
     assert turning["q"] == ["rad"] * 7
 
 

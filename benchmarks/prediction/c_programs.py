@@ -12,7 +12,7 @@ from benchmarks.prediction.clock import told
 from hil.core.typing import FloatArray
 from hil.estimators.base import RobotEstimator
 from hil.export.c import export_c
-from hil.export.c_compiler import asked, built
+from hil.export.c_compiler import asked, compile_program
 
 FLAGS = {"portable": ("-O2",), "native": ("-O3", "-march=native")}
 
@@ -53,7 +53,7 @@ def timed_c(name: str, model: RobotEstimator, calls: int) -> dict[str, float]:
         checked = export_c(model, folder).checked
         (folder / "harness.c").write_text(HARNESS.replace("@CALLS@", f"{calls}L"), "utf-8")
         for how, flags in FLAGS.items():
-            program = built(folder, ("harness.c", "hil.c"), f"bench_{how}", flags)
+            program = compile_program(folder, ("harness.c", "hil.c"), f"bench_{how}", flags)
             # `export_c` compares the portable one; its self-test is built again for the other.
             off = checked if how == "portable" else _self_tested(folder, flags)
             figures[f"{name}_{how}_off_by"] = float(off.split("difference ")[1].split()[0])
@@ -68,9 +68,9 @@ def build_of(how: str) -> str:
 
 
 def _self_tested(folder: Path, flags: tuple[str, ...]) -> str:
-    from hil.export.c_compiler import self_tested
+    from hil.export.c_compiler import run_self_test
 
-    return self_tested(folder, built(folder, ("hil_test.c", "hil.c"), "tested", flags))
+    return run_self_test(folder, compile_program(folder, ("hil_test.c", "hil.c"), "tested", flags))
 
 
 def _printed(program: Path) -> FloatArray:

@@ -22,9 +22,9 @@ from hil.export import (
     PARTS,
     NotExported,
     Program,
-    built,
     c_source,
     closeness,
+    compile_program,
     compiler,
     golden_of,
     program_of,
@@ -244,7 +244,7 @@ def _loaded(program: Program) -> ctypes.CDLL:
         folder = Path(name)
         for file, text in (("hil.h", source.header), ("hil.c", source.source), ("shim.c", SHIM)):
             (folder / file).write_text(text, "utf-8")
-        made = built(folder, ("hil.c", "shim.c"), "hil.so", FAST)
+        made = compile_program(folder, ("hil.c", "shim.c"), "hil.so", FAST)
         try:
             library = ctypes.CDLL(str(made))
         except OSError as error:

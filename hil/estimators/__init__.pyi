@@ -48,6 +48,7 @@ from .friction_library import ORDERS as ORDERS
 from .friction_library import PARTS as PARTS
 from .friction_library import REFERENCE_C as REFERENCE_C
 from .friction_library import RIPPLE_FADES_RAD_S as RIPPLE_FADES_RAD_S
+from .friction_library import SENSE_RAD_S as SENSE_RAD_S
 from .friction_library import FrictionLaw as FrictionLaw
 from .friction_library import column_names as column_names
 from .friction_memory import dahl_states as dahl_states

@@ -44,6 +44,9 @@ the winding-up of a whole gear."""
 RIPPLE_FADES_RAD_S = 0.3
 """A controller fights slow ripple with current; fast ripple the rotor's inertia swallows."""
 
+SENSE_RAD_S = 0.01
+"""Width of the smooth sign of the velocity in ripple [rad/s]."""
+
 REFERENCE_C = 30.0
 """Temperature at which columns of temperature vanish."""
 
@@ -137,7 +140,7 @@ class FrictionMotion:
     @cached_property
     def direction(self) -> FloatArray:
         """The sign of the motion, smooth through 0."""
-        return np.asarray(np.tanh(self.v / 0.01))
+        return np.asarray(np.tanh(self.v / SENSE_RAD_S))
 
     @cached_property
     def warmth(self) -> FloatArray:

@@ -3,7 +3,7 @@ from .agreement import closeness as closeness
 from .agreement import golden_of as golden_of
 from .c import PARTS as PARTS
 from .c import c_source as c_source
-from .c_compiler import built as built
+from .c_compiler import compile_program as compile_program
 from .c_compiler import compiler as compiler
 from .c_compiler import require_compiler as require_compiler
 from .exported import require_new as require_new

@@ -7,7 +7,7 @@ is `reset` (see `Piece`). This module prepares what goes into them, which is num
 expressions, and `model.c.j2` puts the pieces behind each other.
 
 In the templates symbols begin with `hil_`; another prefix takes its place at the end. Numbers are
-written so that they are read back to the same bits (`number`, `array`).
+written so that they are read back to the same bits (`literal`, `array_literal`).
 
 Nothing is allocated, nothing is global but constants, and no input makes a program divide by zero,
 take a logarithm of 0 or leave its arrays: it may run in a PREEMPT_RT task, in a TwinCAT C++ module
@@ -34,12 +34,13 @@ from hil.estimators import (
     ORDERS,
     REFERENCE_C,
     RIPPLE_FADES_RAD_S,
+    SENSE_RAD_S,
     FrictionLaw,
     RobotEstimator,
 )
 from hil.estimators import PARTS as FRICTION_PARTS
 from hil.export.agreement import LOAD, NETWORK, Golden, closeness, golden_of, precision
-from hil.export.c_compiler import built, require_compiler, self_tested, size_note
+from hil.export.c_compiler import compile_program, require_compiler, run_self_test, size_note
 from hil.export.exported import Exported, effort_unit, require_new, write_folder
 from hil.export.program import (
     BLOCK,
@@ -64,7 +65,7 @@ if TYPE_CHECKING:
     from jinja2 import Environment
 
 PARTS = ("gravity", "inertia", "load", "friction", "ripple", "drive", "residual")
-"""Of the effort, in this order in `hil_parts`; they add up to it."""
+"""Components of the effort in the order of `hil_parts`; they sum to the effort."""
 
 PREFIX = re.compile(r"[a-z][a-z0-9_]{0,30}\Z")
 
@@ -82,8 +83,8 @@ WORDS = """
     long register return short signed sizeof static struct switch typedef union unsigned void
     volatile while restrict
 """
-TAKEN = frozenset((HEADERS + TARGETS + WORDS).split())
-"""Headers of C, targets of CMake, words of C: no names for a file, a target and symbols."""
+RESERVED = frozenset((HEADERS + TARGETS + WORDS).split())
+"""Prefixes that would collide with a C header, a CMake target or a C keyword."""
 
 
 def export_c(
@@ -94,7 +95,7 @@ def export_c(
     Args:
         model: Fitted.
         out: Folder to be made.
-        prefix: What files and symbols begin with.
+        prefix: Prefix of all file names and symbols.
         unchecked: Write it although there is no compiler to check it with.
 
     Raises:
@@ -112,9 +113,9 @@ def export_c(
         f"{prefix}.h": source.header,
         f"{prefix}.c": source.source,
         f"{prefix}_test.c": _self_test(prefix, program, golden_of(model)),
-        "CMakeLists.txt": _rendered("CMakeLists.txt.j2", p=prefix),
+        "CMakeLists.txt": _render("CMakeLists.txt.j2", p=prefix),
     }
-    checked, notes = ("", ()) if unchecked else _checked(written, prefix)
+    checked, notes = ("", ()) if unchecked else _self_test_result(written, prefix)
     write_folder(written, out)
     memory = "with" if program.remembers else "without"
     parts = f"{program.estimator}, {memory} memory"
@@ -122,31 +123,31 @@ def export_c(
     return Exported(out, tuple(written), program.joint_names, unit, parts, checked, notes)
 
 
-def _checked(written: Mapping[str, str], prefix: str) -> tuple[str, tuple[str, ...]]:
-    """What the self-test says, and what a task that calls the program has to have."""
+def _self_test_result(written: Mapping[str, str], prefix: str) -> tuple[str, tuple[str, ...]]:
+    """Return the result of the self-test and the note about stack and state size."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for file, text in written.items():
             (folder / file).write_text(text, "utf-8")
-        program = built(folder, (f"{prefix}.c", f"{prefix}_test.c"), "self_test")
-        said, _, state = self_tested(folder, program).partition("\n")
-        return f"self-test: {said}", (size_note(folder, prefix, state),)
+        program = compile_program(folder, (f"{prefix}.c", f"{prefix}_test.c"), "self_test")
+        result_line, _, state = run_self_test(folder, program).partition("\n")
+        return f"self-test: {result_line}", (size_note(folder, prefix, state),)
 
 
 def _self_test(prefix: str, program: Program, golden: Golden) -> str:
     """`PREFIX_test.c`: exits with 0 if the program agrees with the model, and says by how much."""
-    wanted = np.stack([golden.bare, golden.loaded])
+    expected = np.stack([golden.bare, golden.loaded])
     limits = closeness(program, golden)
     arrays = {
         "inputs": np.stack([golden.q, golden.qd, golden.qdd], axis=1),
-        "wanted": wanted if golden.residuals is None else wanted - golden.residuals,
+        "wanted": expected if golden.residuals is None else expected - golden.residuals,
         "largest": limits.largest,
         "com": np.array(LOAD.com),
         "inertia": np.array(LOAD.inertia),
     }
     if golden.residuals is not None:
         arrays |= {"residuals": golden.residuals, "own": limits.residual / NETWORK}
-    return _rendered(
+    return _render(
         "self_test.c.j2",
         p=prefix,
         parts=PARTS,
@@ -173,13 +174,13 @@ class CSource:
     source: str
 
 
-def c_source(program: Program, prefix: str = "hil", told: str = "") -> CSource:
+def c_source(program: Program, prefix: str = "hil", model_title: str = "") -> CSource:
     """Header and source.
 
     Args:
         program: What to compute.
         prefix: What all symbols begin with; also the name of the files.
-        told: For the head of both files: which model this is.
+        model_title: For the head of both files: which model this is.
 
     Raises:
         SpecError: The prefix cannot be one.
@@ -189,7 +190,7 @@ def c_source(program: Program, prefix: str = "hil", told: str = "") -> CSource:
             f"the prefix {prefix!r} cannot begin the names of C functions",
             hint="use small letters, digits and _, a letter first, at most 31 of them",
         )
-    if prefix in TAKEN:
+    if prefix in RESERVED:
         raise SpecError(
             f"the prefix {prefix!r} is a name that C or CMake has for something else",
             hint="take another, such as arm",
@@ -198,19 +199,19 @@ def c_source(program: Program, prefix: str = "hil", told: str = "") -> CSource:
     network = Piece() if correction is None else network_piece(correction, program.n)
     pieces = (_rigid_piece(program), _lagrangian_piece(program), _friction_piece(program), network)
     known: dict[str, Any] = {
-        "title": comment(told or program.estimator),
-        "warmth": _knows_warmth(program.friction),
+        "title": comment_text(model_title or program.estimator),
+        "warmth": _depends_on_temperature(program.friction),
     }
-    header = _rendered(
+    header = _render(
         "model.h.j2",
         n=program.n,
-        joints=comment(", ".join(program.joint_names)),
+        joints=comment_text(", ".join(program.joint_names)),
         units=_units(program),
         state="".join(piece.state for piece in pieces),
         parts=PARTS,
         **known,
     )
-    source = _rendered(
+    source = _render(
         "model.c.j2",
         prefix=prefix,
         constants="".join(piece.constants for piece in pieces),
@@ -218,35 +219,31 @@ def c_source(program: Program, prefix: str = "hil", told: str = "") -> CSource:
         reset="".join(piece.reset for piece in pieces),
         scale=1.0 / program.scale,
         learned=program.lagrangian is not None,
-        own_gears=_own_gears(program),
+        own_gears=_has_gear_inertia(program),
         corrected=network != Piece(),
         **known,
     )
-    return CSource(prefix, _renamed(header, prefix), _renamed(source, prefix))
+    return CSource(prefix, _with_prefix(header, prefix), _with_prefix(source, prefix))
 
 
-def _renamed(text: str, prefix: str) -> str:
+def _with_prefix(text: str, prefix: str) -> str:
     """Symbols with another prefix; the header's name in `#include` has it already."""
     text = re.sub(r'(?<!")\bhil_', f"{prefix}_", text)
     return re.sub(r"\bHIL_", f"{prefix.upper()}_", text)
 
 
 def _units(program: Program) -> str:
-    """Of positions and efforts, joint by joint where some slide."""
+    """Return the sentence about units, per joint where some are prismatic."""
     torques = program.effort_kind != "current"
     turns = [bool(one) for one in program.geometry.turns]
-    if program.coupling is not None:
-        # A motor's place is told in the unit of what it moves.
-        whose, start = "motors behind their gears", "All arrays are of "
-    else:
-        whose, start = "joints", ""
+    # A motor's position has the unit of what it moves.
+    of_motors = program.coupling is not None
+    start = "All arrays are of motors behind their gears. " if of_motors else ""
     if all(turns):
-        what = f"Angles in rad, efforts in {'N*m' if torques else 'A'}."
-    else:
-        each = ", ".join("m" if not one else "rad" for one in turns)
-        efforts = ", ".join("N*m" if one else "N" for one in turns) if torques else "A"
-        what = f"Positions in {each}; efforts in {efforts}, in this order."
-    return f"{start}{whose}. {what}" if start else what
+        return f"{start}Angles in rad, efforts in {'N*m' if torques else 'A'}."
+    each = ", ".join("m" if not one else "rad" for one in turns)
+    efforts = ", ".join("N*m" if one else "N" for one in turns) if torques else "A"
+    return f"{start}Positions in {each}; efforts in {efforts}, in this order."
 
 
 @dataclass(frozen=True, slots=True)
@@ -282,13 +279,13 @@ def _rigid_piece(program: Program) -> Piece:
         gravity=program.gravity,
         flange=program.flange,
         bodies=program.rigid,
-        gears=program.gears if _own_gears(program) else None,
+        gears=program.gears if _has_gear_inertia(program) else None,
         coupling=program.coupling,
     )
 
 
-def _own_gears(program: Program) -> bool:
-    """Whether gears transmit another torque than that of the bodies."""
+def _has_gear_inertia(program: Program) -> bool:
+    """Whether gear torque and rigid-body torque have different parameters."""
     return not np.array_equal(program.gears, program.rigid)
 
 
@@ -306,7 +303,7 @@ def _friction_piece(program: Program) -> Piece:
             scale=friction.scale,
             dissipative=friction.dissipative,
             rest_speed=friction.rest_speed,
-            **_precision(friction.kind),
+            **_c_type(friction.kind),
         )
     return _library_piece(friction)
 
@@ -328,8 +325,9 @@ def _shaped_piece(law: ShapedFriction) -> Piece:
     return _piece("friction_shaped.c.j2", law=law, powers=powers, long=LONG)
 
 
-SUMS = {2: (1, 1), 4: (2, 2), 8: (4, 4), 10: (8, 2), 12: (8, 4)}
-"""Multiples of an angle as sums of two others: one sine and cosine per joint is enough."""
+MULTIPLE_AS_SUM = {2: (1, 1), 4: (2, 2), 8: (4, 4), 10: (8, 2), 12: (8, 4)}
+"""Multiple k → (a, b) with k = a + b: sin and cos of kφ by the addition theorem, from one sine and
+cosine."""
 
 
 def _library_piece(law: FrictionLaw) -> Piece:
@@ -343,7 +341,8 @@ def _library_piece(law: FrictionLaw) -> Piece:
         joints=joints,
         count=max(count, 1),
         ripple_fades=RIPPLE_FADES_RAD_S,
-        warmth=_knows_warmth(law),
+        sense=SENSE_RAD_S,
+        warmth=_depends_on_temperature(law),
     )
 
 
@@ -351,12 +350,12 @@ def _library_joint(
     law: FrictionLaw, j: int, terms: Mapping[str, FloatArray], first: int
 ) -> dict[str, Any]:
     """What the template needs of a joint whose first state is the program's `first`."""
-    products: dict[str, list[str]] = {part: [] for part in ("friction", "ripple", "drive")}
+    terms_by_part: dict[str, list[str]] = {part: [] for part in ("friction", "ripple", "drive")}
     for name, weights in terms.items():
-        part = products[FRICTION_PARTS.get(name.split()[0], "friction")]
+        part = terms_by_part[FRICTION_PARTS.get(name.split()[0], "friction")]
         columns = zip(GROUPS[name], weights, strict=True)
-        part += [f"{number(float(weight))} * {column}" for column, weight in columns if weight]
-    used = set(re.findall(r"[a-z_]+\d*", " ".join(chain(*products.values()))))
+        part += [f"{literal(float(weight))} * {column}" for column, weight in columns if weight]
+    used = set(re.findall(r"[a-z_]+\d*", " ".join(chain(*terms_by_part.values()))))
     shapes, usual = law.shapes, REFERENCE_C if law.celsius is None else float(law.celsius[j])
     multiples = [k for k in MULTIPLES if f"z{k:g}" in used]
     powers = {"law_p": float(shapes.power[j]), **LAWS}
@@ -374,7 +373,7 @@ def _library_joint(
         ],
         "powers": [(name, power) for name, power in powers.items() if name in used],
         "waves": _waves(float(np.nan_to_num(shapes.turns[j])), j, used),
-        "sums": [(part, terms) for part, terms in products.items() if terms],
+        "sums": [(part, summed) for part, summed in terms_by_part.items() if summed],
     }
 
 
@@ -383,20 +382,20 @@ def _waves(
 ) -> list[tuple[str, str, list[tuple[int, int, int]]]]:
     """Of the motor (``) and of the joint (`j`): the angle, and multiples k of it as sums a + b."""
     found = []
-    for of, angle in (("", f"{number(turns)} * q[{j}]"), ("j", f"q[{j}]")):
+    for of, angle in (("", f"{literal(turns)} * q[{j}]"), ("j", f"q[{j}]")):
         if orders := {k for k in (*ORDERS, 1) if {f"{of}sin{k}", f"{of}cos{k}"} & used}:
             multiples = sorted(_needed(orders) - {1})
-            found.append((of, angle, [(k, *SUMS[k]) for k in multiples]))
+            found.append((of, angle, [(k, *MULTIPLE_AS_SUM[k]) for k in multiples]))
     return found
 
 
 def _needed(orders: Iterable[int]) -> set[int]:
     """Multiples of an angle, and those they are sums of."""
     found = set(orders)
-    return found.union(*(_needed(SUMS[k]) for k in found if k in SUMS))
+    return found.union(*(_needed(MULTIPLE_AS_SUM[k]) for k in found if k in MULTIPLE_AS_SUM))
 
 
-def _knows_warmth(law: object) -> bool:
+def _depends_on_temperature(law: object) -> bool:
     """Whether friction depends on how warm joints are."""
     return isinstance(law, FrictionLaw) and any("temperature" in terms for terms in terms_of(law))
 
@@ -404,7 +403,7 @@ def _knows_warmth(law: object) -> bool:
 ACTIVATIONS = {"softplus": "softplus", "relu": "relu", "tanh": "curve", "silu": "silu"}
 """Activation → what its function is called in C, where `tanh` is taken."""
 
-CALLED: dict[str, tuple[str, ...]] = {
+CALLEES: dict[str, tuple[str, ...]] = {
     "softplus": ("log1p", "within", "decay"),
     "softplus_slope": ("within", "decay"),
     "silu": ("softplus_slope",),
@@ -412,7 +411,7 @@ CALLED: dict[str, tuple[str, ...]] = {
     "curve": ("within", "decay"),
     "curve_slope": ("curve",),
 }
-"""Function → those it calls, or whose result it takes: compilers warn of what nobody calls."""
+"""Function → those it calls, or whose result it takes: unused static functions cause warnings."""
 
 
 def _lagrangian_piece(program: Program) -> Piece:
@@ -427,7 +426,7 @@ def _lagrangian_piece(program: Program) -> Piece:
     return _piece(
         "lagrangian.c.j2",
         layers=_dense(terms.trunk),
-        called=_called(program, terms),
+        called=_needed_functions(program, terms),
         activation=activation,
         features=2 * n if terms.sincos else n,
         entries=n * (n + 1) // 2,
@@ -438,11 +437,11 @@ def _lagrangian_piece(program: Program) -> Piece:
         potential=terms.potential,
         least=terms.least,
         added=terms.added,
-        **_precision(terms.kind),
+        **_c_type(terms.kind),
     )
 
 
-def _called(program: Program, terms: LagrangianTerms) -> set[str]:
+def _needed_functions(program: Program, terms: LagrangianTerms) -> set[str]:
     """Activations of the program and all that they call."""
     diagonal = "relu" if terms.rectified else "softplus"
     left = [
@@ -454,11 +453,11 @@ def _called(program: Program, terms: LagrangianTerms) -> set[str]:
     while left:
         name = left.pop()
         called.add(name)
-        left += CALLED.get(name, ())
+        left += CALLEES.get(name, ())
     return called
 
 
-def _precision(kind: Kind) -> dict[str, str]:
+def _c_type(kind: Kind) -> dict[str, str]:
     """The type of a network's numbers, and what stands behind literals and functions of it."""
     return {"real": kind, "f": "f" if kind == "float" else ""}
 
@@ -508,7 +507,7 @@ def _dense(layers: Layers) -> list[DenseLayer]:
     return found
 
 
-def _products(row: int, lanes: int, chunk: int, first: str = "") -> str:
+def _row_sum(row: int, lanes: int, chunk: int, first: str = "") -> str:
     """Products of a row, `lanes` apart, added in pairs."""
     terms = [f"w{row}[{first}{c} + l] * y[{first}{c} + l]" for c in range(0, chunk, lanes)]
     while len(terms) > 1:
@@ -520,11 +519,11 @@ def network_piece(correction: Correction, n: int) -> Piece:
     """`hil_network`: what the networks add to the effort of the physics, for one sample.
 
     The C function takes q [rad], qd [rad/s], qdd [rad/s²] and the effort `base` of the physics,
-    `HIL_N` numbers each, and writes as many, 0 for joints that keep no network. It says what
-    `hil.networks.residual_network.CorrectedStream` says, at rest as well.
+    `HIL_N` numbers each, and writes as many, 0 for joints that keep no network. It returns what
+    `CorrectedStream` returns, at rest too.
 
     Args:
-        correction: Networks that hear no torque.
+        correction: Networks whose inputs are the motion only (`inputs: motion`).
         n: Number of joints.
 
     Raises:
@@ -591,8 +590,8 @@ def _network_inputs(
 
 
 def _sign(joint: int, width: float) -> str:
-    # Held within what a float can hold, and where the tangent no longer changes.
-    scaled = f"hil_network_clip(qd[{joint}] / {number(width)}, -8.0, 8.0)"
+    # Clipped so that the cast to float cannot overflow; tanh(8) = 1 − 2e−7.
+    scaled = f"hil_network_clip(qd[{joint}] / {literal(width)}, -8.0, 8.0)"
     return f"(double)hil_network_tanh((float){scaled})"
 
 
@@ -601,23 +600,23 @@ def _environment() -> Environment:
     from jinja2 import Environment, FunctionLoader, StrictUndefined
 
     folder = files("hil.export").joinpath("templates")
-    environment = Environment(  # noqa: S701  # C, not HTML; foreign text goes through `comment`
+    environment = Environment(  # noqa: S701  # C, not HTML; foreign text goes through `comment_text`
         loader=FunctionLoader(lambda name: folder.joinpath(name).read_text("utf-8")),
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    environment.filters["number"] = number
-    environment.globals |= {"array": array, "products": _products}
+    environment.filters["literal"] = literal
+    environment.globals |= {"array_literal": array_literal, "row_sum": _row_sum}
     return environment
 
 
-def _rendered(template: str, **values: Any) -> str:
+def _render(template: str, **values: Any) -> str:
     return _environment().get_template(template).render(values)
 
 
-def comment(text: str) -> str:
+def comment_text(text: str) -> str:
     """Foreign text as it may stand in a comment: what could end one, or begin a line, becomes `_`.
 
     Names of joints, robots and estimators come from files that others wrote.
@@ -625,21 +624,23 @@ def comment(text: str) -> str:
     return re.sub(r"[^A-Za-z0-9_ .,+-]", "_", text)
 
 
-def number(value: float, kind: Kind = "double") -> str:
+def literal(value: float, kind: Kind = "double") -> str:
     """A literal that is read back to the same bits.
 
     Raises:
-        ValueError: It is not finite.
+        ValueError: It is not finite in that type.
     """
-    if not np.isfinite(value):
+    with np.errstate(over="ignore"):
+        stored = np.float32(value) if kind == "float" else np.float64(value)
+    if not np.isfinite(stored):
         raise ValueError(f"{value} cannot be a constant of a program")
-    text = f"{np.float32(value)!s}" if kind == "float" else repr(float(value))
+    text = str(stored) if kind == "float" else repr(float(stored))
     if "." not in text and "e" not in text:
         text += ".0"
     return text + ("f" if kind == "float" else "")
 
 
-def array(name: str, values: FloatArray, kind: Kind = "double") -> str:
+def array_literal(name: str, values: FloatArray, kind: Kind = "double") -> str:
     """A `static const` array of any shape, with its initialiser.
 
     Raises:
@@ -652,7 +653,7 @@ def array(name: str, values: FloatArray, kind: Kind = "double") -> str:
 
 def _braced(values: FloatArray, kind: Kind) -> str:
     if values.ndim == 0:
-        return number(float(values), kind)
+        return literal(float(values), kind)
     parts = [_braced(one, kind) for one in values]
     if values.ndim > 1:
         return "{\n" + ",\n".join(parts) + "}"

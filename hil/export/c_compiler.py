@@ -1,4 +1,4 @@
-"""A C compiler: programs are built and run before anybody relies on them.
+"""A C compiler: programs are compile_program and run before anybody relies on them.
 
 Also how much stack a program takes at most, which a task on a controller has to be given.
 """
@@ -54,7 +54,9 @@ def require_compiler() -> tuple[str, ...]:
     return found
 
 
-def built(folder: Path, files: Sequence[str], out: str, flags: Sequence[str] = (PORTABLE,)) -> Path:
+def compile_program(
+    folder: Path, files: Sequence[str], out: str, flags: Sequence[str] = (PORTABLE,)
+) -> Path:
     """Compile and link files of a folder, which is searched for headers as well.
 
     Raises:
@@ -79,7 +81,7 @@ def _compiled(
 
 def _run(command: Sequence[str], folder: Path) -> subprocess.CompletedProcess[str]:
     try:
-        return subprocess.run(  # noqa: S603  # a compiler, and what it just built
+        return subprocess.run(  # noqa: S603  # a compiler, and what it just compile_program
             command, cwd=folder, capture_output=True, text=True, timeout=LONGEST_S, check=False
         )
     except (OSError, subprocess.TimeoutExpired) as error:
@@ -103,8 +105,8 @@ def _require_works(flags: Sequence[str]) -> None:
     )
 
 
-def self_tested(folder: Path, program: Path) -> str:
-    """What a self-test says: how well it agrees, and on a line of its own the size of the state.
+def run_self_test(folder: Path, program: Path) -> str:
+    """Return how well a self-test agrees, and on a line of its own the size of the state.
 
     Raises:
         FitError: It does not pass.

@@ -93,7 +93,7 @@ def graph(traced: TorchModel) -> bytes:
             output_names=list(given),
             verbose=False,
         )
-    found = cleaned(written.model_proto, traced.told())
+    found = cleaned(written.model_proto, traced.metadata())
     require_plain(found)
     content: bytes = found.SerializeToString()
     return content

@@ -97,7 +97,7 @@ def archive(traced: TorchModel) -> bytes:
     # Inputs to try it with would be the only thing in the archive that is pickled.
     program.example_inputs = None
     content = io.BytesIO()
-    torch.export.save(program, content, extra_files={TOLD: json.dumps(traced.told(), indent=1)})
+    torch.export.save(program, content, extra_files={TOLD: json.dumps(traced.metadata(), indent=1)})
     if pickled := pickles(content.getvalue()):
         raise FitError(
             f"torch {torch.__version__} would write pickles: {', '.join(pickled)}",

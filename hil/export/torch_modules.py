@@ -15,6 +15,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from itertools import groupby
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -22,8 +23,15 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from hil.core import FloatArray
-from hil.dynamics import skew
-from hil.estimators import MULTIPLES, REFERENCE_C, RIPPLE_FADES_RAD_S, FrictionLaw, RobotEstimator
+from hil.dynamics import pseudo_inertia, skew
+from hil.estimators import (
+    MULTIPLES,
+    REFERENCE_C,
+    RIPPLE_FADES_RAD_S,
+    SENSE_RAD_S,
+    FrictionLaw,
+    RobotEstimator,
+)
 from hil.export.exported import effort_unit
 from hil.export.program import (
     GROUPS,
@@ -42,8 +50,17 @@ from hil.export.program import (
 )
 from hil.networks import Correction, LagrangianNetwork, NetworkSettings
 
-LOAD = ("kg", *["m"] * 3, *["kg*m2"] * 6)
+LOAD_UNITS = ("kg", *["m"] * 3, *["kg*m2"] * 6)
 """Units of mass, centre of mass x y z and inertia about it xx yy zz xy xz yz."""
+
+SINGLE = torch.float32
+"""Type of the networks' numbers."""
+
+SLOWEST = 1e-12
+"""Below this speed [rad/s] a power of it is 0: no logarithm of 0."""
+
+LARGEST_EXPONENT = 20.0
+"""Exponents are clamped to this, to avoid overflow."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,14 +69,13 @@ class TorchModel:
 
     Attributes:
         module: effort[, state_next] = module(q, qd, qdd, load[, state]), a tuple; see
-            `torch_program.ProgramModule`. In double precision, for evaluation.
-        estimator: What found it.
+            `ProgramModule`. In double precision, for evaluation.
+        estimator: Name of the estimator.
         joint_names: n of them.
         effort_kind: `current` or `torque`.
         turns: Which joints turn; the others slide.
         state: Name and size of the parts of the state, in this order; empty without memory.
-        rate_hz: At which samples must come, as a network counts them; None where it does not
-            matter.
+        rate_hz: Sample rate that the residual network was trained at; None if any rate will do.
     """
 
     module: nn.Module
@@ -82,9 +98,9 @@ class TorchModel:
 
     @property
     def names(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Of the inputs and of the outputs."""
-        taken, given = ("q", "qd", "qdd", "load"), ("effort",)
-        return ((*taken, "state"), (*given, "state_next")) if self.state else (taken, given)
+        """Names of inputs and outputs."""
+        inputs, outputs = ("q", "qd", "qdd", "load"), ("effort",)
+        return ((*inputs, "state"), (*outputs, "state_next")) if self.state else (inputs, outputs)
 
     @property
     def units(self) -> dict[str, list[str]]:
@@ -95,11 +111,11 @@ class TorchModel:
             "q": lengths,
             "qd": [f"{one}/s" for one in lengths],
             "qdd": [f"{one}/s2" for one in lengths],
-            "load": list(LOAD),
+            "load": list(LOAD_UNITS),
             "effort": of_torque if self.effort_kind == "torque" else ["A"] * self.n,
         }
 
-    def told(self) -> dict[str, str]:
+    def metadata(self) -> dict[str, str]:
         """Metadata for a file: plain text, lists as JSON."""
         return {
             "written_by": "hil",
@@ -155,7 +171,7 @@ class ProgramModule(nn.Module):
         self.physics = physics_module(program)
         self.friction = friction_module(program)
         self.network = network_module(program)
-        hold(self, scale=program.scale)
+        register_constants(self, scale=program.scale)
         carried = self.friction.parts + (self.network.parts if self.network is not None else ())
         self.parts: tuple[tuple[str, int], ...] = (("begun", 1), *carried) if carried else ()
 
@@ -201,11 +217,33 @@ def physics_module(program: Program) -> nn.Module:
     return RigidTorque(program)
 
 
-def friction_module(program: Program) -> nn.Module:
-    """(q, qd, gears, begun, carried) → torque (B, n) [N·m], and what is carried on.
+class FrictionModule(Protocol):
+    """A module for friction.
 
-    Its `parts` say what that is; see `torch_friction.MemoryLaw`.
+    Attributes:
+        parts: Name and size of what it carries from sample to sample; zeros are the start. Empty
+            without memory.
     """
+
+    parts: tuple[tuple[str, int], ...]
+
+    def __call__(
+        self, q: Tensor, qd: Tensor, gears: Tensor, begun: Tensor | None, carried: Carried
+    ) -> tuple[Tensor, Carried]:
+        """Torque (B, n) [N·m], and the carried parts that have changed.
+
+        Args:
+            q: (B, n) [rad].
+            qd: (B, n) [rad/s].
+            gears: (B, n) torque that the gears transmit [N·m].
+            begun: (B, 1) whether there was a sample before; None where nothing is carried.
+            carried: What `parts` names. `warmer_k` (B, n) is how much warmer joints are than
+                the training was [K].
+        """
+
+
+def friction_module(program: Program) -> FrictionModule:
+    """Return the module for the program's kind of friction."""
     friction = program.friction
     if isinstance(friction, PlainFriction):
         return PlainLaw(friction)
@@ -217,7 +255,7 @@ def friction_module(program: Program) -> nn.Module:
 
 
 def network_module(program: Program) -> StreamingTcn | None:
-    """The residual networks, where a joint keeps its own."""
+    """Return the residual networks; None if no joint uses them."""
     correction = program.correction
     if correction is None or not np.any(correction.kept):
         return None
@@ -247,12 +285,13 @@ class RigidTorque(nn.Module):
         self.own_gears = not np.array_equal(program.gears, program.rigid)
         self.coupled = program.coupling is not None
         if program.coupling is not None:
-            hold(self, joints=program.coupling.T, motors=program.coupling)
-        hold(self, **_geometry(program), **_load(program), rotors=program.rigid[:, 10])
-        hold(self, bodies=np.array([pseudo_inertia(row) for row in program.rigid]))
+            register_constants(self, joints=program.coupling.T, motors=program.coupling)
+        register_constants(self, **_geometry(program), **_load(program))
+        register_constants(self, rotors=program.rigid[:, 10])
+        register_constants(self, bodies=pseudo_inertia(program.rigid[:, :10]))
         if self.own_gears:
-            hold(self, gears=np.array([pseudo_inertia(row) for row in program.gears]))
-            hold(self, gear_rotors=program.gears[:, 10])
+            register_constants(self, gears=pseudo_inertia(program.gears[:, :10]))
+            register_constants(self, gear_rotors=program.gears[:, 10])
 
     def forward(self, q: Tensor, qd: Tensor, qdd: Tensor, load: Tensor) -> tuple[Tensor, Tensor]:
         """Torque of the rigid body with load, and what of it the gears transmit, (B, n) [N·m].
@@ -267,12 +306,18 @@ class RigidTorque(nn.Module):
         moves = [rows @ self.joints for rows in (q, qd, qdd)] if self.coupled else [q, qd, qdd]
         pose = self._poses(moves[0])
         twist = self._twists(pose)
-        moving = self._moving(twist, *moves[1:])
+        acceleration = self._acceleration(twist, *moves[1:])
         mounted = self.last * self._mounted(load)
-        torque = self._held(pose, twist, moving, self.bodies + mounted) + self.rotors * qdd
+        torque = (
+            self._joint_torques(pose, twist, acceleration, self.bodies + mounted)
+            + self.rotors * qdd
+        )
         if not self.own_gears:
             return torque, torque
-        gears = self._held(pose, twist, moving, self.gears + mounted) + self.gear_rotors * qdd
+        gears = (
+            self._joint_torques(pose, twist, acceleration, self.gears + mounted)
+            + self.gear_rotors * qdd
+        )
         return torque, gears
 
     def _poses(self, q: Tensor) -> Tensor:
@@ -287,21 +332,23 @@ class RigidTorque(nn.Module):
         return torch.cat(poses, dim=1)
 
     def _twists(self, pose: Tensor) -> Tensor:
-        """(B, n, 4, 4) velocity of space that moves with a joint, per unit of its own."""
+        """(B, n, 4, 4) joint twists in the base frame, per unit of joint velocity."""
         axis = (pose @ self.turning).reshape(-1, self.n, 4)
         turn = (axis @ self.skewed).reshape(-1, self.n, 4, 4)
         twist = turn @ (self.one - pose @ self.corner)
         return twist + pose @ self.sliding if self.slides else twist
 
-    def _moving(self, twist: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
-        """(B, n, 4, 4) position in the base → acceleration there, less gravity's."""
+    def _acceleration(self, twist: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
+        """(B, n, 4, 4) V' + V² of each link, gravity subtracted."""
         v, a = (values.reshape(-1, self.n, 1, 1) for values in (qd, qdd))
         velocity = self._outwards(twist * v)
         bracket = velocity @ twist - twist @ velocity
         return self._outwards(twist * a + bracket * v) + velocity @ velocity + self.falling
 
-    def _held(self, pose: Tensor, twist: Tensor, moving: Tensor, inertia: Tensor) -> Tensor:
-        wrench = moving @ (pose @ inertia @ pose.transpose(2, 3))
+    def _joint_torques(
+        self, pose: Tensor, twist: Tensor, acceleration: Tensor, inertia: Tensor
+    ) -> Tensor:
+        wrench = acceleration @ (pose @ inertia @ pose.transpose(2, 3))
         carried = self.inwards @ wrench.reshape(-1, self.n, 16)
         torque = (twist.reshape(-1, self.n, 16) * carried).sum(dim=2)
         return torque @ self.motors if self.coupled else torque
@@ -319,10 +366,13 @@ class RigidTorque(nn.Module):
 
 
 def _geometry(program: Program) -> dict[str, FloatArray]:
-    """Poses of the joints are still + cosine·cos q + sine·sin q + slide·q (Rodrigues)."""
+    """Poses of the joints are still + cosine·cos q + sine·sin q + slide·q (Rodrigues).
+
+    The keys are names of buffers, which exported files contain.
+    """
     n, geometry = program.n, program.geometry
     whole = np.zeros((4, n, 4, 4))
-    still, cosine, sine, slide = whole
+    still, cosine, sine, slide_in_joint = whole
     turning = np.zeros((n, 4, 1))
     falling = np.zeros((4, 4))
     falling[:3, 3] = -program.gravity
@@ -337,12 +387,13 @@ def _geometry(program: Program) -> dict[str, FloatArray]:
             )  # fmt: skip
             turning[i, :3, 0] = axis
         else:
-            still[i, :3, :3], slide[i, :3, 3] = np.eye(3), axis
-    still, cosine, sine, moved = (geometry.placement @ part for part in whole)
+            still[i, :3, :3], slide_in_joint[i, :3, 3] = np.eye(3), axis
+    still, cosine, sine, slide_in_parent = (geometry.placement @ part for part in whole)
     skewed = np.zeros((4, 4, 4))
     skewed[:3, :3, :3] = np.array([skew(axis) for axis in np.eye(3)])
     return {
-        "still": still, "cosine": cosine, "sine": sine, "slide": moved, "sliding": slide,
+        "still": still, "cosine": cosine, "sine": sine, "slide": slide_in_parent,
+        "sliding": slide_in_joint,
         "turning": turning, "skewed": skewed.reshape(4, 16), "falling": falling, "last": last,
         "one": np.eye(4), "corner": np.diag([0.0, 0.0, 0.0, 1.0]),
         "outwards": np.tril(np.ones((n, n))), "inwards": np.triu(np.ones((n, n))),
@@ -364,25 +415,11 @@ def _load(program: Program) -> dict[str, FloatArray]:
     }
 
 
-def pseudo_inertia(body: FloatArray) -> FloatArray:
-    """(4, 4) ∫ x xᵀ dm of x = (position, 1), from a body in `hil.dynamics.inertial`'s order."""
-    m, xx, xy, yy, xz, yz, zz = body[0], *body[4:10]
-    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    J = np.empty((4, 4))
-    J[:3, :3] = 0.5 * np.trace(inertia) * np.eye(3) - inertia
-    J[:3, 3] = J[3, :3] = body[1:4]
-    J[3, 3] = m
-    return J
-
-
-SINGLE = torch.float32
-
-
 class LagrangianTorque(nn.Module):
     """Torque of the network, and of the load by Newton and Euler.
 
     Args:
-        program: Bodies that are nothing, and a Lagrangian network.
+        program: A program whose rigid bodies are zero.
         terms: That network.
     """
 
@@ -392,7 +429,7 @@ class LagrangianTorque(nn.Module):
         self.network = lagrangian_network(terms)
 
     def forward(self, q: Tensor, qd: Tensor, qdd: Tensor, load: Tensor) -> tuple[Tensor, Tensor]:
-        """As `torch_rigid.RigidTorque.forward`."""
+        """As `RigidTorque.forward`."""
         carried, _ = self.load(q, qd, qdd, load)
         found = self.network(q.to(SINGLE), qd.to(SINGLE), qdd.to(SINGLE))
         torque = found.to(torch.float64) + carried
@@ -442,17 +479,17 @@ class NetworkLaw(nn.Module):
         self.dissipative, self.rest = friction.dissipative, friction.rest_speed
         self.count = len(friction.layers.weights)
         self.n = friction.layers.weights[0].shape[1] // 3
-        hold(self, SINGLE, scale=friction.scale)
+        register_constants(self, SINGLE, scale=friction.scale)
         both = zip(friction.layers.weights, friction.layers.biases, strict=True)
         for k, (weight, bias) in enumerate(both):
-            hold(self, SINGLE, **{f"weight{k}": weight, f"bias{k}": bias})
+            register_constants(self, SINGLE, **{f"weight{k}": weight, f"bias{k}": bias})
         if self.dissipative:
-            hold(self, SINGLE, places=_places(self.n))
+            register_constants(self, SINGLE, places=_places(self.n))
 
     def forward(
         self, q: Tensor, qd: Tensor, gears: Tensor, begun: Tensor | None, carried: Carried
     ) -> tuple[Tensor, Carried]:
-        """As `torch_friction.MemoryLaw.forward`."""
+        """As `FrictionModule`."""
         q, qd = q.to(SINGLE), qd.to(SINGLE)
         speed = torch.abs(qd) + self.rest
         velocity = torch.log(speed) if self.dissipative else qd
@@ -478,13 +515,6 @@ def _places(n: int) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
     return found
 
 
-SLOWEST = 1e-12
-"""Below this speed [rad/s] a power of it is 0: no logarithm of 0."""
-
-SENSE_RAD_S = 0.01
-"""Width of the smooth sign of ripple."""
-
-
 class PlainLaw(nn.Module):
     """Friction without memory.
 
@@ -492,7 +522,7 @@ class PlainLaw(nn.Module):
         friction: Of n joints.
 
     Attributes:
-        parts: None; see `MemoryLaw`.
+        parts: None; it has no memory.
     """
 
     parts: tuple[tuple[str, int], ...] = ()
@@ -501,7 +531,7 @@ class PlainLaw(nn.Module):
         super().__init__()
         self.hard = friction.sign_width == 0
         self.bent = bool(np.any(friction.exponent != 1.0))
-        hold(
+        register_constants(
             self,
             coulomb=friction.coulomb,
             viscous=friction.viscous,
@@ -514,7 +544,7 @@ class PlainLaw(nn.Module):
     def forward(
         self, q: Tensor, qd: Tensor, gears: Tensor, begun: Tensor | None, carried: Carried
     ) -> tuple[Tensor, Carried]:
-        """As `MemoryLaw.forward`."""
+        """As `FrictionModule`."""
         sign = torch.sign(qd) if self.hard else torch.tanh(qd / self.width)
         power = qd * torch.exp(self.bend * torch.log(qd * qd + self.square)) if self.bent else qd
         return self.coulomb * sign + self.viscous * power + self.offset, {}
@@ -539,14 +569,16 @@ class MemoryLaw(nn.Module):
         words = {word for column in self.columns for word in column}
         words |= {word[5:-1] for word in words if word.startswith("fabs(")}
         self.multiples = tuple(k for k in MULTIPLES if f"z{k:g}" in words)
-        self.warms, self.slows, self.senses = (w in words for w in ("warmth", "slow", "sense"))
+        self.has_temperature, self.has_slow, self.has_sense = (
+            w in words for w in ("warmth", "slow", "sense")
+        )
         self.peaks = [name for name in PEAKS if name in words]
         self.laws = [name for name in ("law_p", *LAWS) if name in words]
         waves = {word for word in words if word.lstrip("j").startswith(("sin", "cos"))}
         self.waves = sorted({word.replace("sin", "").replace("cos", "") for word in waves})
         states = (("friction", len(self.multiples) * n), ("last", n))
-        self.parts = states * bool(self.multiples) + (("warmer_k", n),) * self.warms
-        hold(
+        self.parts = states * bool(self.multiples) + (("warmer_k", n),) * self.has_temperature
+        register_constants(
             self,
             offset=offset,
             weights=np.array([weights[" * ".join(column)] for column in self.columns]),
@@ -573,31 +605,23 @@ class MemoryLaw(nn.Module):
     def forward(
         self, q: Tensor, qd: Tensor, gears: Tensor, begun: Tensor | None, carried: Carried
     ) -> tuple[Tensor, Carried]:
-        """Torque (B, n) [N·m], and what is carried on.
-
-        Args:
-            q: (B, n) [rad].
-            qd: (B, n) [rad/s].
-            gears: (B, n) torque that the gears transmit [N·m].
-            begun: (B, 1) whether there was a sample before; None where nothing is carried.
-            carried: What `parts` names. `warmer_k` (B, n) is how much warmer joints are than
-                the training was [K].
-        """
-        after = dict(carried)
+        """As `FrictionModule`."""
+        after: Carried = {}
         rows = [one.reshape(-1, 1, self.n) for one in (q, qd, gears)]
-        known = self._now(*rows)
+        known = self._factors(*rows)
         if self.multiples:
             way = torch.where(begun, q - carried["last"], 0.0)
-            z = self._advanced(carried["friction"], way, qd)
+            states = carried["friction"].reshape(-1, len(self.multiples), self.n)
+            z = _dahl_step(states, way, qd, self.shortness)
             after |= {"friction": z.reshape(-1, len(self.multiples) * self.n), "last": q}
-            states = _split([f"z{k:g}" for k in self.multiples], z)
-            known |= states | {f"fabs({name})": torch.abs(state) for name, state in states.items()}
-        if self.warms:
+            now = _split([f"z{k:g}" for k in self.multiples], z)
+            known |= now | {f"fabs({name})": torch.abs(state) for name, state in now.items()}
+        if self.has_temperature:
             known["warmth"] = (self.warmth + carried["warmer_k"]).reshape(-1, 1, self.n)
         return (self._products(known) * self.weights).sum(dim=1) + self.offset, after
 
-    def _now(self, q: Tensor, v: Tensor, tau: Tensor) -> dict[str, Tensor]:
-        """What columns are products of, each (B, 1, n), but for memory and warmth."""
+    def _factors(self, q: Tensor, v: Tensor, tau: Tensor) -> dict[str, Tensor]:
+        """Factors of the columns, each (B, 1, n), but for memory and warmth."""
         speed = torch.abs(v)
         known = {"v": v, "speed": speed, "tau": tau, "load": torch.abs(tau)}
         if self.peaks:
@@ -611,9 +635,9 @@ class MemoryLaw(nn.Module):
             for wave, values in (("sin", torch.sin(angle)), ("cos", torch.cos(angle))):
                 names = [f"{'j' * k.startswith('j')}{wave}{k.lstrip('j')}" for k in self.waves]
                 known |= _split(names, values)
-        if self.slows:
+        if self.has_slow:
             known["slow"] = torch.exp(speed * self.slow_rate)
-        if self.senses:
+        if self.has_sense:
             known["sense"] = torch.tanh(v * self.sense_rate)
         return known
 
@@ -630,12 +654,19 @@ class MemoryLaw(nn.Module):
             found.append(first)
         return torch.cat(found, dim=1)
 
-    def _advanced(self, states: Tensor, way: Tensor, qd: Tensor) -> Tensor:
-        """(B, M, n) Dahl's states one step on: only what goes with the velocity counts as way."""
-        gone = torch.where(way * qd > 0.0, way, 0.0).reshape(-1, 1, self.n)
-        toward = torch.sign(gone)
-        before = states.reshape(-1, len(self.multiples), self.n)
-        return toward + (before - toward) * torch.exp(torch.abs(gone) * self.shortness)
+
+def _dahl_step(states: Tensor, way: Tensor, qd: Tensor, shortness: Tensor) -> Tensor:
+    """(B, M, n) Dahl's states one step on: only what goes with the velocity counts as way.
+
+    Args:
+        states: (B, M, n) before.
+        way: (B, n) change of the positions.
+        qd: (B, n) velocities.
+        shortness: (M, n) −1/length of each state.
+    """
+    moved = torch.where(way * qd > 0.0, way, 0.0).reshape(-1, 1, states.shape[2])
+    toward = torch.sign(moved)
+    return toward + (states - toward) * torch.exp(torch.abs(moved) * shortness)
 
 
 def _weights(law: FrictionLaw) -> tuple[FloatArray, dict[str, FloatArray]]:
@@ -658,10 +689,6 @@ def _split(names: list[str], values: Tensor) -> dict[str, Tensor]:
     return dict(zip(names, values.split(1, dim=1), strict=True))
 
 
-LARGEST_EXPONENT = 20.0
-"""Larger powers than e to this count as that."""
-
-
 class ShapedLaw(nn.Module):
     """The law of `hil.export.program`.
 
@@ -681,7 +708,7 @@ class ShapedLaw(nn.Module):
         length = np.ones(self.n) if law.length is None else law.length
         if self.remembers:
             self.parts = (("friction", 2 * self.n), ("last", self.n))
-        hold(
+        register_constants(
             self,
             coulomb=law.coulomb,
             peak=law.static - law.coulomb,
@@ -700,7 +727,7 @@ class ShapedLaw(nn.Module):
     def forward(
         self, q: Tensor, qd: Tensor, gears: Tensor, begun: Tensor | None, carried: Carried
     ) -> tuple[Tensor, Carried]:
-        """As `torch_friction.MemoryLaw.forward`."""
+        """As `FrictionModule`."""
         load = torch.abs(gears)
         speed = torch.clamp(torch.abs(qd) + self.more, min=self.least)
         sign = torch.tanh(qd / self.width) if self.width > 0 else torch.sign(qd)
@@ -710,19 +737,12 @@ class ShapedLaw(nn.Module):
         plain = self.viscous * qd + self.offset
         if not self.remembers:
             return sign * (size + law) + plain, {}
-        z = self._advanced(carried["friction"], begun, q - carried["last"], qd)
+        way = torch.where(begun, q - carried["last"], 0.0)
+        z = _dahl_step(carried["friction"].reshape(-1, 2, self.n), way, qd, self.shortness)
         near, far = (one.reshape(-1, self.n) for one in z.split(1, dim=1))
-        way = near if self.power_remembers else sign
-        torque = near * size + way * law + plain + far * (self.far + self.far_load * load)
+        power_state = near if self.power_remembers else sign
+        torque = near * size + power_state * law + plain + far * (self.far + self.far_load * load)
         return torque, {"friction": z.reshape(-1, 2 * self.n), "last": q}
-
-    def _advanced(self, states: Tensor, begun: Tensor | None, way: Tensor, qd: Tensor) -> Tensor:
-        """(B, 2, n) Dahl's states one step on: only what goes with the velocity counts as way."""
-        gone = torch.where(way * qd > 0.0, way, 0.0)
-        gone = torch.where(begun, gone, 0.0).reshape(-1, 1, self.n) if begun is not None else gone
-        toward = torch.sign(gone)
-        before = states.reshape(-1, 2, self.n)
-        return toward + (before - toward) * torch.exp(torch.abs(gone) * self.shortness)
 
 
 def _power(base: Tensor, exponent: Tensor) -> Tensor:
@@ -737,7 +757,8 @@ class StreamingTcn(nn.Module):
     before: so zeros are the start, and nothing has to be filled.
 
     Args:
-        correction: Networks that hear no torque; at least one joint keeps its own.
+        correction: Networks whose inputs are the motion only (`inputs: motion`); at least one joint
+            uses them.
 
     Attributes:
         parts: Name and size of what it carries; zeros are the start.
@@ -760,8 +781,8 @@ class StreamingTcn(nn.Module):
             *((f"first {k}", layer) for k in range(len(self.rows))),
             *((f"ring {k}", rows * layer) for k, rows in enumerate(self.rows)),
         )
-        hold(self, **self._inputs(weights, correction))
-        hold(self, torch.float32, **self._weights(weights))
+        register_constants(self, **self._inputs(weights, correction))
+        register_constants(self, SINGLE, **self._weights(weights))
 
     def forward(
         self, q: Tensor, qd: Tensor, qdd: Tensor, base: Tensor, begun: Tensor, carried: Carried
@@ -776,7 +797,7 @@ class StreamingTcn(nn.Module):
             begun: (B, 1) whether there was a sample before.
             carried: What `parts` names.
         """
-        h = self._entered(self._seen(q, qd, qdd, base))
+        h = self._entered(self._scaled_inputs(q, qd, qdd, base))
         after: Carried = {}
         for k in range(len(self.rows)):
             now, ring = self._flat(h).double(), carried[f"ring {k}"]
@@ -789,7 +810,7 @@ class StreamingTcn(nn.Module):
         added = torch.minimum(torch.maximum(out @ self.share, -self.limit), self.limit)
         return added, after
 
-    def _seen(self, q: Tensor, qd: Tensor, qdd: Tensor, base: Tensor) -> Tensor:
+    def _scaled_inputs(self, q: Tensor, qd: Tensor, qdd: Tensor, base: Tensor) -> Tensor:
         """(S, B, F) inputs, scaled and held in the range of the training."""
         if self.own:
             one = [values.reshape(-1, 1, self.n) for values in (qd, qdd, base)]
@@ -811,12 +832,12 @@ class StreamingTcn(nn.Module):
 
     def _layer(self, number: int, h: Tensor, first: Tensor, ring: Tensor) -> Tensor:
         """(E, B, W) out of (E, B, W)."""
-        rows, before = self.rows[number], self.settings.kernel - 1
+        rows, past_taps = self.rows[number], self.settings.kernel - 1
         old = ring.reshape(-1, rows, self.cells * self.width)
         old = old[:, :: self.settings.dilations[number]]
         old = (old + first.reshape(-1, 1, self.cells * self.width)).float()
-        old = old.reshape(-1, before, self.cells, self.width).permute(2, 0, 1, 3)
-        seen = torch.cat([old.reshape(self.cells, -1, before * self.width), h], dim=2)
+        old = old.reshape(-1, past_taps, self.cells, self.width).permute(2, 0, 1, 3)
+        seen = torch.cat([old.reshape(self.cells, -1, past_taps * self.width), h], dim=2)
         taps, bias = getattr(self, f"taps_{number}"), getattr(self, f"bias_{number}")
         total = torch.bmm(seen, taps) + bias
         return h + (torch.tanh(total) if self.settings.activation == "tanh" else torch.relu(total))
@@ -862,7 +883,9 @@ class StreamingTcn(nn.Module):
         return found
 
 
-def hold(module: nn.Module, dtype: torch.dtype = torch.float64, /, **constants: FloatArray) -> None:
+def register_constants(
+    module: nn.Module, dtype: torch.dtype = torch.float64, /, **constants: FloatArray
+) -> None:
     """Make each array an attribute that goes with the module: a buffer, no parameter."""
     for name, values in constants.items():
         # An archive keeps whole arrays; torch would take over a transposed one's order.
