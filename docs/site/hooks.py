@@ -94,7 +94,8 @@ def site_uri(uri: str, target: str) -> str:
 def shown(source: Path) -> str:
     """A file of the repository as a page; of a folder, its files."""
     if source.is_dir():
-        lines = [f"- [{path.name}]({source.name}/{path.name})" for path in sorted(source.iterdir())]
+        named = (path.name for path in sorted(source.iterdir()) if path.name != "__pycache__")
+        lines = [f"- [{name}]({source.name}/{name})" for name in named]
         return f"# {source.name}\n\n" + "\n".join(lines) + "\n"
     text = source.read_text("utf-8")
     if source.suffix == ".md":
