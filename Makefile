@@ -50,26 +50,26 @@ test-fast: $(VENV)/.dev
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not wire and not matrix and not proof"
 
 # Drives at `pace: free` and their driver take both cores: nothing that minds the clock beside them.
-CAN_TESTS := $(wildcard tests/test_can*.py tests/test_cia402*.py tests/test_twincat*.py)
+CAN_TESTS := tests/can tests/mock/cia402 tests/drivers/cia402 tests/drivers/twincat tests/bench/test_can.py
 
 wire: $(VENV)/.dev
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "wire and not proof" \
-	  --ignore-glob='*/test_can*' --ignore-glob='*/test_cia402*' --ignore-glob='*/test_twincat*'
+	  $(CAN_TESTS:%=--ignore=%)
 	$(BIN)/python -m pytest -m "wire and not proof" $(CAN_TESTS)
 
 matrix: $(VENV)/.dev ## fault matrices: everything that may go wrong, at some of the kinds of step
-	$(BIN)/python -m pytest -n 3 -m "matrix and not proof" tests/test_fault_matrix.py
-	$(BIN)/python -m pytest -n 2 -m "matrix and not proof" tests/test_fault_matrix_ur.py
-	$(BIN)/python -m pytest -n 2 -m "matrix and not proof" tests/test_fault_matrix_can.py
+	$(BIN)/python -m pytest -n 3 -m "matrix and not proof" tests/faults/test_embedded.py
+	$(BIN)/python -m pytest -n 2 -m "matrix and not proof" tests/faults/test_ur.py
+	$(BIN)/python -m pytest -n 2 -m "matrix and not proof" tests/faults/test_can.py
 
 fault-matrix: $(VENV)/.dev ## the same, and the tables in docs/reference/fault-matrix*.md
-	$(BIN)/python tests/faults/table.py
+	$(BIN)/python -m tests.faults.table
 
 gallery: $(VENV)/.dev ## the pictures of docs/gallery.md, by its commands (minutes; needs Chromium)
-	$(BIN)/python tests/gallery.py
+	$(BIN)/python -m tests.docs.gallery
 
 fuzz: $(VENV)/.dev ## thousands of damaged specs, stations, run directories and recordings
-	HIL_FUZZ_EXAMPLES=$${HIL_FUZZ_EXAMPLES:-3000} $(BIN)/python tests/fuzz_long.py
+	HIL_FUZZ_EXAMPLES=$${HIL_FUZZ_EXAMPLES:-3000} $(BIN)/python -m tests.proofs.fuzz_long
 
 soak: $(VENV)/.dev ## a simulated day at 500 Hz through the recorder
 	$(BIN)/hil bench soak --hours 24
@@ -85,25 +85,25 @@ walls: $(VENV)/.dev ## import contracts: what may not import what (docs/explanat
 	$(BIN)/lint-imports
 
 shape: ## packages in order: files, lines, importers per module, import circles (information only)
-	@$(PYTHON) tests/shape.py
+	@$(PYTHON) tests/house/shape.py
 
 proof: $(VENV)/.dev ## the long must-show runs
 	$(BIN)/python -m pytest -m "proof and not matrix" --timeout 1800 -s
-	$(BIN)/python -m pytest -n 3 -m "proof and matrix" tests/test_fault_matrix.py
-	$(BIN)/python -m pytest -n 2 -m "proof and matrix" tests/test_fault_matrix_ur.py
-	$(BIN)/python -m pytest -n 2 -m "proof and matrix" tests/test_fault_matrix_can.py
-	$(BIN)/python tests/proof_inputs.py --keep
+	$(BIN)/python -m pytest -n 3 -m "proof and matrix" tests/faults/test_embedded.py
+	$(BIN)/python -m pytest -n 2 -m "proof and matrix" tests/faults/test_ur.py
+	$(BIN)/python -m pytest -n 2 -m "proof and matrix" tests/faults/test_can.py
+	$(BIN)/python -m tests.proofs.proof_inputs --keep
 
 proof-short: $(VENV)/.dev ## those that take a minute or two and mind no clock
 	$(BIN)/python -m pytest -m "proof and not matrix" --timeout 1800 \
-	  tests/test_proof.py tests/test_proof_inverse_dynamics.py
+	  tests/proofs/test_mock.py tests/proofs/test_inverse_dynamics.py
 
 proof-state: ## have the long must-show runs passed with just these inputs?
-	@$(PYTHON) tests/proof_inputs.py --check \
+	@$(PYTHON) -m tests.proofs.proof_inputs --check \
 	  || echo "note: inputs of the proofs have changed since \`make proof\` last passed"
 
 wheels: $(VENV)/.dev ## the wheel in fresh environments: each set of extras under each Python at hand
-	$(BIN)/python tests/install_matrix.py
+	$(BIN)/python -m tests.proofs.install_matrix
 
 bench: $(VENV)/.dev ## every benchmark, each against a peer in the same run
 	$(BIN)/hil bench all

@@ -15,7 +15,7 @@ from benchmarks.identification.mock_coverage import all_estimated, figures
 from benchmarks.identification.mock_gap import Contest, contests
 
 SEEDS, QUICK_SEEDS = (1, 2, 3), (1,)
-"""Of development; `tests/test_proof_identification.py` judges on others."""
+"""Of development; `tests/proofs/test_identification.py` judges on others."""
 
 JOBS = 2
 

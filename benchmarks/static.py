@@ -34,7 +34,7 @@ from hil.estimators.static_model import PaperGravity
 from hil.importers.sources import load_source
 
 SEEDS, QUICK_SEEDS = (1, 2, 3), (1,)
-"""Of development; `tests/test_proof_stick_friction.py` judges on others."""
+"""Of development; `tests/proofs/test_stick_friction.py` judges on others."""
 
 QUICK_POSES = 70
 HELD_OUT = 0.2

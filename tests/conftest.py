@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 from pathlib import Path
 
@@ -11,7 +12,12 @@ WATCHED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def pytest_configure() -> None:
-    """Let Ctrl-C be delivered: shells start what runs in the background with SIGINT ignored."""
+    """Let programs that tests start import `tests`, and let Ctrl-C be delivered to this one.
+
+    Shells start what runs in the background with SIGINT ignored.
+    """
+    paths = [str(Path(__file__).parents[1]), *os.environ.get("PYTHONPATH", "").split(os.pathsep)]
+    os.environ["PYTHONPATH"] = os.pathsep.join(dict.fromkeys(filter(None, paths)))
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -30,6 +36,6 @@ def signals_are_heard() -> None:
 @pytest.fixture(scope="session")
 def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with one run of the mock and its registered model; nobody changes it."""
-    from web_parts import measured_in
+    from tests.support.web_parts import measured_in
 
     return measured_in(tmp_path_factory.mktemp("lab"))

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from faults.ur_cases import NONE, WireEnding, asked
+from tests.faults.ur_cases import NONE, WireEnding, asked
 
 DWELLS = """
 hil: 1

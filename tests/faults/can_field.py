@@ -9,10 +9,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from can_mock import MockCan, mock_can
-from faults.can_cases import MOVING, NONE, PATIENCE_S, Case
-from faults.field import REST_RAD_S
-from faults.wire_field import (
+from tests.faults.can_cases import MOVING, NONE, PATIENCE_S, Case
+from tests.faults.field import REST_RAD_S
+from tests.faults.wire_field import (
     Field,
     Note,
     counts,
@@ -26,6 +25,7 @@ from faults.wire_field import (
     starts,
     until_struck,
 )
+from tests.support.can_mock import MockCan, mock_can
 
 AXES = range(1, 7)
 SETTLED_WITHIN_S = 5.0

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from faults.cases import SPECS, SPEED, STEPS, Case
 
 import hil
 from hil.core.errors import DataError
@@ -21,6 +20,7 @@ from hil.planning.plan import Plan
 from hil.planning.robots import open_robot, plan_for
 from hil.recording.mcap_reader import read_topic
 from hil.recording.run_directory import RunDirectory
+from tests.faults.cases import SPECS, SPEED, STEPS, Case
 
 HOST = Path(__file__).with_name("host.py")
 PROMPT_S = 0.4

@@ -11,17 +11,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
+from tests.faults import can_cases, cases, ur_cases
+from tests.faults.ur_cases import WireEnding
+from tests.support.paths import DOCS, ROOT
 
-from faults import can_cases, cases, ur_cases
-from faults.ur_cases import WireEnding
-
-ROOT = Path(__file__).parents[2]
-REFERENCE = ROOT / "docs" / "reference"
+REFERENCE = DOCS / "reference"
 MATRICES = {
-    "fault-matrix.md": ("tests/test_fault_matrix.py", 3),
-    "fault-matrix-ur.md": ("tests/test_fault_matrix_ur.py", 2),
-    "fault-matrix-can.md": ("tests/test_fault_matrix_can.py", 2),
+    "fault-matrix.md": ("tests/faults/test_embedded.py", 3),
+    "fault-matrix-ur.md": ("tests/faults/test_ur.py", 2),
+    "fault-matrix-can.md": ("tests/faults/test_can.py", 2),
 }
 """Page → its tests, and how many of them at a time: an arm over the wire minds a busy computer."""
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from faults.cases import Ending
+from tests.faults.cases import Ending
 
 DWELLS = """
 hil: 1

@@ -9,8 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from faults.ur_cases import NONE, SPECS, Case
-from faults.wire_field import (
+from tests.faults.ur_cases import NONE, SPECS, Case
+from tests.faults.wire_field import (
     Field,
     Note,
     counts,
@@ -24,7 +24,7 @@ from faults.wire_field import (
     starts,
     until_struck,
 )
-from ur_mock import mock_ur
+from tests.support.ur_mock import mock_ur
 
 CONTROLLER_STOPS = ("protective_stop", "emergency_stop", "watchdog", "power_cut")
 

@@ -17,14 +17,13 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from faults.field import HOST, REST_RAD_S
-
 import hil
 from hil.core.errors import DataError
 from hil.planning.plan import Plan
 from hil.planning.robots import open_robot, plan_for
 from hil.recording.mcap_reader import read_topic
 from hil.recording.run_directory import RunDirectory
+from tests.faults.field import HOST, REST_RAD_S
 
 ENDS_WITHIN_S = 90.0
 TRIES = 3

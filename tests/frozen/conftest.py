@@ -7,7 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from frozen_parts import SAMPLE, entered
+
+from tests.frozen.frozen_parts import SAMPLE, entered
 
 
 @pytest.fixture(scope="session")

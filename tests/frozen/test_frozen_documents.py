@@ -10,7 +10,8 @@ import json
 from pathlib import Path
 
 import pytest
-from frozen_parts import HERE, command, entered, missing, parsed
+
+from tests.frozen.frozen_parts import HERE, command, entered, missing, parsed
 
 pytestmark = pytest.mark.timeout(300)  # all commands count as the set-up of the first test
 

@@ -19,7 +19,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from frozen_parts import HERE, command, differences, layout, missing, parsed, run_of, told
 from safetensors.numpy import load_file
 
 import hil
@@ -27,6 +26,16 @@ from hil.core import plugins
 from hil.estimators import load_model_file
 from hil.importers.sources import load_source
 from hil.recording import read_topic
+from tests.frozen.frozen_parts import (
+    HERE,
+    command,
+    differences,
+    layout,
+    missing,
+    parsed,
+    run_of,
+    told,
+)
 
 RUNS = {
     "frozen-dwell": "completed", "frozen-fourier": "completed", "frozen-other": "completed",

@@ -9,11 +9,12 @@ import time
 from pathlib import Path
 
 import pytest
-from can_mock import mock_can
-from frozen_parts import command, layout, run_of, told
-from plc_mock import mock_plc
-from test_frozen_documents import compare
-from ur_mock import mock_ur
+
+from tests.frozen.frozen_parts import command, layout, run_of, told
+from tests.frozen.test_frozen_documents import compare
+from tests.support.can_mock import mock_can
+from tests.support.plc_mock import mock_plc
+from tests.support.ur_mock import mock_ur
 
 SCRIPTS = 30002
 PROGRAM = """\

@@ -1,0 +1,363 @@
+"""Reading YAML: scalars as YAML 1.2 has them, every mistake at its line and column."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hil.core.errors import SpecError
+from hil.core.yaml import (
+    MOST_BYTES,
+    KeyPath,
+    Source,
+    is_number,
+    look_into,
+    parse,
+    read_source,
+    scalar,
+    with_value,
+    yaml_text,
+)
+from tests.support.fuzzing import examples
+
+pytestmark = pytest.mark.quick
+
+
+def lines_of(text: str | bytes) -> list[str]:
+    """What is said about a text, whether it could be parsed or not."""
+    try:
+        return [str(problem) for problem in parse(text, "f").problems]
+    except SpecError as error:
+        return error.message.splitlines()
+
+
+# YAML 1.2.2, example 10.9 and the tables of §10.3.2.
+CORE_SCHEMA = [
+    ("null", None),
+    ("Null", None),
+    ("~", None),
+    ("", None),
+    ("nULL", "nULL"),
+    ("true", True),
+    ("False", False),
+    ("tRUE", "tRUE"),
+    ("yes", "yes"),
+    ("on", "on"),
+    ("Off", "Off"),
+    ("n", "n"),
+    ("0", 0),
+    ("-19", -19),
+    ("+12", 12),
+    ("012", 12),
+    ("0o7", 7),
+    ("0o14", 12),
+    ("0x3A", 58),
+    ("0o8", "0o8"),
+    ("0b1", "0b1"),
+    ("1_000", "1_000"),
+    ("0.", 0.0),
+    (".5", 0.5),
+    ("-0.0", -0.0),
+    ("1e-3", 1e-3),
+    ("1E3", 1000.0),
+    ("12e03", 12000.0),
+    ("-2E+05", -2e5),
+    ("1.5e", "1.5e"),
+    (".", "."),
+    ("-.INF", -math.inf),
+    ("+.inf", math.inf),
+    ("12:30", "12:30"),
+    ("1:2:3", "1:2:3"),
+    ("2026-11-21", "2026-11-21"),
+    ("=", "="),
+    ("'1e-3'", "1e-3"),
+    ('"true"', "true"),
+    ("!!str 12", "12"),
+    ("!!float 1", 1.0),
+]
+
+
+@pytest.mark.parametrize(("text", "value"), CORE_SCHEMA)
+def test_a_scalar_means_what_yaml_1_2_says(text: str, value: object) -> None:
+    read = parse(f"a: {text}", "f").data["a"]
+
+    assert read == value
+    assert type(read) is type(value)
+
+
+def test_not_a_number_is_a_float() -> None:
+    assert math.isnan(scalar(".NaN"))
+
+
+def test_where_yaml_1_1_and_1_2_agree_pyyaml_reads_the_same() -> None:
+    text = "a: [1, 2.5, -3.25e+2, text, 'x', null, true]\nb:\n  c: |\n    lines\n  d: >-\n   x\n"
+
+    assert parse(text, "f").data == yaml.safe_load(text)
+
+
+# What YAML 1.1 writes without quotes and YAML 1.2 reads as a number, and merge keys, are left out.
+TEXTS = st.text(st.characters(exclude_categories=["Cs"]), max_size=12).filter(
+    lambda text: not is_number(text) and not text.startswith("0o") and text != "<<"
+)
+DOCUMENTS = st.recursive(
+    st.none()
+    | st.booleans()
+    | st.integers(1 - 2**63, 2**63 - 1)
+    | st.floats(allow_nan=False)
+    | TEXTS,
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(TEXTS, inner, max_size=4),
+    max_leaves=15,
+)
+STYLES = st.fixed_dictionaries(
+    {
+        "default_flow_style": st.sampled_from([None, True, False]),
+        "default_style": st.sampled_from([None, '"', "'", "|", ">"]),
+        "allow_unicode": st.booleans(),
+        "indent": st.integers(2, 6),
+        "width": st.integers(10, 100),
+        "explicit_start": st.booleans(),
+    }
+)
+
+
+def places(node: yaml.Node, path: KeyPath = ()) -> Iterator[tuple[KeyPath, tuple[int, int]]]:
+    """Every value below a node with its line and column."""
+    yield path, (node.start_mark.line + 1, node.start_mark.column + 1)
+    pairs = node.value if isinstance(node.value, list) else []
+    for index, child in enumerate(pairs):
+        is_pair = isinstance(child, tuple)
+        step, value = (child[0].value, child[1]) if is_pair else (index, child)
+        yield from places(value, (*path, step))
+
+
+@examples(100)
+@given(DOCUMENTS, STYLES)
+def test_whatever_pyyaml_writes_is_read_as_pyyaml_reads_it(
+    document: Any, style: dict[str, Any]
+) -> None:
+    """Where the versions of YAML agree: the data, and where every value stands."""
+    text = yaml.safe_dump(document, **style)
+
+    source = parse(text, "f")
+
+    assert not source.problems
+    assert repr(source.data) == repr(yaml.safe_load(text))
+    found = {path: mark[1:] for path, mark in source.values.items()}
+    assert found == dict(places(yaml.compose(text, Loader=yaml.SafeLoader)))
+
+
+@examples(100)
+@given(DOCUMENTS)
+def test_both_readers_agree_about_documents_that_are_quoted(document: Any) -> None:
+    text = yaml.safe_dump(document, default_style='"')
+
+    assert repr(parse(text, "f").data) == repr(look_into(text))
+
+
+ANY_TEXT = st.text(st.characters(exclude_categories=["Cs"]), max_size=12)
+ODD_TEXT = st.sampled_from(["12e4", "0o17", "1_0", "12:30", "yes", "~", "", "2026-11-21", "a: b"])
+
+
+@examples(100)
+@given(st.dictionaries(TEXTS, st.lists(ANY_TEXT | ODD_TEXT, max_size=4), max_size=4), st.booleans())
+def test_text_that_is_written_is_text_to_both_readers(
+    document: dict[str, list[str]], block: bool
+) -> None:
+    text = yaml_text(document, block=block)
+
+    assert parse(text, "f").data == look_into(text) == document
+
+
+def test_keys_such_as_on_and_y_are_text() -> None:
+    assert parse("on: 1\ny: 2\nno: 3", "f").data == {"on": 1, "y": 2, "no": 3}
+
+
+def test_an_anchor_is_one_value_in_several_places() -> None:
+    source = parse("a: &p [1, 2]\nb: *p\n", "f")
+
+    assert source.data == {"a": [1, 2], "b": [1, 2]}
+    assert source.data["a"] is not source.data["b"]
+    assert source.mark(("b", 1)) == ("f", 1, 11)
+
+
+PLACES = """\
+# a comment
+hil: 1
+robot:   "ur5"   # and another
+
+loads:
+- {mass_kg: 0, "käfig": [a,
+     b]}
+- mass_kg: 3
+  com_m: &c [0, 0, 0.05]
+  again: *c
+text: |
+  two
+  lines
+nothing:
+? asked
+: told
+"""
+
+
+@pytest.mark.parametrize(
+    ("path", "key", "value"),
+    [
+        ((), None, (2, 1)),
+        (("hil",), (2, 1), (2, 6)),
+        (("robot",), (3, 1), (3, 10)),
+        (("loads",), (5, 1), (6, 1)),
+        (("loads", 0), None, (6, 3)),
+        (("loads", 0, "mass_kg"), (6, 4), (6, 13)),
+        (("loads", 0, "käfig"), (6, 16), (6, 25)),
+        (("loads", 0, "käfig", 1), None, (7, 6)),
+        (("loads", 1), None, (8, 3)),
+        (("loads", 1, "com_m"), (9, 3), (9, 10)),
+        (("loads", 1, "com_m", 2), None, (9, 20)),
+        (("loads", 1, "again"), (10, 3), (9, 10)),
+        (("text",), (11, 1), (11, 7)),
+        (("nothing",), (14, 1), (14, 9)),
+        (("asked",), (15, 3), (16, 3)),
+    ],
+)
+def test_every_key_and_value_has_its_place(
+    path: KeyPath, key: tuple[int, int] | None, value: tuple[int, int]
+) -> None:
+    source = parse(PLACES, "f")
+
+    assert source.mark(path) == ("f", *value)
+    assert source.mark(path, key=True) == ("f", *(key or value))
+
+
+MISTAKES = [
+    ("a: [1, 2", "f:1:9: a ',' or ']' is missing before this"),
+    ("a: {b: 1", "f:1:9: a ',' or '}' is missing before this"),
+    ("a: 'x\nb: 1", "f:1:4: a quote is opened here and never closed"),
+    ("a: 1\nb: c: d", "f:2:5: a ':' that does not fit here: quote text that holds ': '"),
+    ("a: 1\n b: 2", "f:2:3: this line is indented differently from the line above"),
+    ("a:\n b: 1\n  c: 2", "f:3:4: this line is indented differently from the line above"),
+    ("a:\n b: 1\n\n  c: 2", "f:4:4: this line is indented differently from the line above"),
+    ("- a\n  b: 2", "f:2:4: a ':' that does not fit here: quote text that holds ': '"),
+    ("a:\n\t- 1", "f:2:1: a tab: YAML is indented with spaces"),
+    ("a:\n  - b\n - c", "f:3:2: this continues nothing that stands above: check the indentation"),
+    ("a: 1\nword\nc: 2", "f:2:1: this is neither a key with ':' nor a value of one"),
+    ("a: *x", "f:1:4: the alias refers to an anchor that is not defined above"),
+    ("a: &x 1\nb: &x 2", "f:2:4: the anchor is defined a second time"),
+    ("a: @x", "f:1:4: text cannot begin with this character: put it in quotes"),
+    ("a: 1\n---\nb: 2", "f:2:1: a second document: only one per file, remove the '---'"),
+    ("a: {b: }, c", "f:1:9: this continues nothing that stands above: check the indentation"),
+    ("[a] b", "f:1:5: this continues nothing that stands above: check the indentation"),
+    ('a: "\\UFFFFFFFF"', "f:1:7: the escape or the number here is out of range"),
+    ("x: \x01", "f:1:4: the character U+0001 is not allowed in YAML"),
+    ("", "f:1:1: the file is empty"),
+    ("# only a comment\n", "f:1:1: the file is empty"),
+    ("&a [*a]", "f:1:5: an alias contains itself"),
+    ("a: " + "[" * 60, "f:1:43: more than 40 levels"),
+    (b"a: 1\nb: \xff", "f:2:4: byte 0xff is not UTF-8: save the file as UTF-8"),
+    ("a: 1\nb: 2\na: 3", "f:3:1: a: is given twice, first at line 1, column 1"),
+    ("l: [{x: 1, x: 2}]", "f:1:12: l.0.x: is given twice, first at line 1, column 6"),
+    ("a: !!python/name:os.system x", None),
+    ("a: !mine x", "f:1:4: a: the tag !mine is not allowed: a spec is plain data"),
+    ("a: !!binary eA==", "f:1:4: a: the tag !!binary is not allowed: a spec is plain data"),
+    ("a: !!set {b}", "f:1:4: a: the tag !!set is not allowed: a spec is plain data"),
+    ("a: !!int x", "f:1:4: a: x is no int, as its tag says"),
+    ("a: 99999999999999999999", "f:1:4: a: the number is too large"),
+    ("a: " + "9" * 5000, "f:1:4: a: the number is too large"),
+    ("? [a]\n: 1", "f:1:3: a list or mapping cannot be a key"),
+    ("1: x", "f:1:1: the key '1' is no text: put it in quotes; decimals take a point, not a comma"),
+    ("true: x", "f:1:1: the key 'true' is no text: put it in quotes"),
+    ("a: {<<: {b: 1}}", "f:1:5: a: merge keys (<<) are not part of YAML 1.2: write the keys out"),
+    ('a: "\\uD800"', "f:1:4: a: the text holds half a character (a lone surrogate)"),
+]
+
+
+@pytest.mark.parametrize(("text", "line"), MISTAKES)
+def test_a_mistake_is_reported_at_its_place(text: str | bytes, line: str | None) -> None:
+    said = lines_of(text)
+
+    if line is None:
+        assert "the tag !!python/name:os.system is not allowed" in said[0]
+    else:
+        assert said == [line]
+
+
+def test_several_duplicates_and_tags_are_reported_together() -> None:
+    assert lines_of("a: 1\na: 2\nb: !x 1\nb: 3\n") == [
+        "f:2:1: a: is given twice, first at line 1, column 1",
+        "f:3:4: b: the tag !x is not allowed: a spec is plain data",
+        "f:4:1: b: is given twice, first at line 3, column 1",
+    ]
+
+
+def test_aliases_that_blow_up_are_refused() -> None:
+    laughs = ["a0: &a0 [ha, ha, ha, ha, ha, ha, ha, ha, ha, ha]"]
+    laughs += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 12)]
+
+    with pytest.raises(SpecError, match="aliases expand to more values than a file of this size"):
+        parse("\n".join(laughs), "f")
+
+
+def test_aliases_of_a_long_text_are_counted_by_its_length() -> None:
+    text = f"a: &a {'x' * 50_000}\nb: [{', '.join(['*a'] * 100)}]"
+
+    with pytest.raises(SpecError, match="aliases expand"):
+        parse(text, "f")
+
+
+def test_a_byte_order_mark_is_no_part_of_the_first_key() -> None:
+    assert parse(b"\xef\xbb\xbfa: 1", "f").data == {"a": 1}
+
+
+def test_a_file_beyond_the_size_limit_is_not_even_parsed(tmp_path: Path) -> None:
+    file = tmp_path / "poses.yaml"
+    file.write_text("[" + "1," * MOST_BYTES)
+
+    with pytest.raises(SpecError, match="is larger than 256 KiB") as caught:
+        read_source(file)
+    assert "excitation.file" in caught.value.hint
+
+
+def test_a_misspelt_file_name_is_guessed(tmp_path: Path) -> None:
+    (tmp_path / "ur5_dwell.yaml").write_text("a: 1")
+
+    with pytest.raises(SpecError, match=r"ur5_dwel\.yaml: there is no such file") as caught:
+        read_source(tmp_path / "ur5_dwel.yaml")
+    assert caught.value.hint == f"did you mean {tmp_path / 'ur5_dwell.yaml'}?"
+
+
+@pytest.mark.parametrize("name", ["", "no/such/folder/a.yaml", "a\0b.yaml"])
+def test_an_unreadable_path_is_a_spec_error(tmp_path: Path, name: str) -> None:
+    with pytest.raises(SpecError):
+        read_source(tmp_path / name)
+
+
+def test_the_place_of_something_missing_is_that_of_what_surrounds_it() -> None:
+    source: Source = parse("a:\n  b: {c: 1}\n", "f")
+
+    assert source.mark(("a", "b", "nothing", 3)) == ("f", 2, 6)
+    assert source.mark(("a", "b"), key=True) == ("f", 2, 3)
+
+
+def test_a_value_on_the_command_line_is_yaml_as_well() -> None:
+    assert scalar("[4, 20, 1e-3, on]") == [4, 20, 1e-3, "on"]
+    assert scalar(" ") is None
+    with pytest.raises(SpecError, match=r"value:1:1: the tag !x"):
+        scalar("!x 1")
+    with pytest.raises(SpecError, match="value: is larger than 256 KiB"):
+        scalar("x" * (MOST_BYTES + 1))
+
+
+def test_another_value_leaves_all_else_as_written() -> None:
+    text = "# mine\nrobot:  'ur5' # ours\nloads: [{robot: x}]\n"
+
+    assert with_value(text, "robot", '"b"') == text.replace("'ur5'", '"b"')
+    assert with_value(text, "loads", "1") is with_value("[robot]", "robot", "1") is None
+    with pytest.raises(ValueError, match="found undefined alias"):
+        with_value("robot: *x", "robot", "1")

@@ -1,0 +1,372 @@
+"""Names of files are bytes of any kind: every verb, page and document survives them."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import shutil
+import sys
+from collections.abc import Callable, Iterable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+from markupsafe import escape
+
+from hil.cli.app import main
+from hil.core.files import json_document, json_line, read_json
+from hil.core.lock_file import hold_run
+from hil.core.text import json_text, name_read, name_text, quoted, shell_word, utf8_text
+from hil.models.log import damaged
+from hil.recording.run_directory import RunDirectory
+from hil.recording.run_group import FleetGroup, Member
+from tests.support.catalogue_runs import write_run
+from tests.support.paths import EXPERIMENTS, FILES
+from tests.support.pipeline_parts import CAMPAIGN, PROBE
+from tests.support.web_parts import dashboard, require_fit_for_all
+
+DWELL = EXPERIMENTS / "ci_dwell_12.yaml"
+URDF = FILES / "own_arm.urdf"
+WORST = os.fsdecode(b"d\xff \x1b[31m'\"\n\t<img src=x onerror=alert(1)>\\x41%41")
+NAMES = {
+    "not UTF-8": os.fsdecode(b"d\xff"),
+    "half a character": os.fsdecode("Žofie".encode()[:1]),
+    "line break": "a\nb\r\nc",
+    "tab and quotes": "t\t'\"`$(x)",
+    "control characters": "c\x01\x1b[2J\x7f\x85",
+    "HTML": "<img src=x onerror=alert(1)>&amp;",
+    "escapes": r"\xff \\ %ff",
+    "right to left": "\u202e\ufdfa\u200b",
+    "as long as can be": "n" * 240,
+    "all at once": WORST,
+}
+"""Texts that a name may hold; a slash and a NUL are all that a file system refuses."""
+
+name_of_a_file = st.binary(min_size=1, max_size=40).map(
+    lambda raw: os.fsdecode(raw.replace(b"/", b"-").replace(b"\0", b"\xff"))
+)
+
+
+@given(name_of_a_file)
+@example(WORST)
+def test_a_name_leaves_as_text_and_comes_back_as_it_was(name: str) -> None:
+    assert name_read(name_text(name)) == name
+    assert name_text(name).isprintable()
+    assert utf8_text(name).encode()
+    assert json.loads(json_text({name: name}).encode()) == {name: name}
+    assert "\n" not in json_text(name)
+    assert quoted(name).isascii()
+
+
+@given(st.text(st.characters(), max_size=20))
+def test_every_text_can_be_a_document(text: str) -> None:
+    assert json.loads(json_document([text])) == [text]
+    assert json.loads(json_line(text).encode()) == text
+    utf8_text(text).encode()
+
+
+def test_a_set_is_written_in_one_order_whatever_the_hashes() -> None:
+    names = [f"joint {i:02d}" for i in range(30)]
+    assert json.loads(json_line({"columns": frozenset(names)})) == {"columns": names}
+
+
+@pytest.mark.parametrize("name", NAMES.values(), ids=NAMES)
+def test_a_shell_takes_the_word_for_the_name(name: str) -> None:
+    bash = shutil.which("bash")
+    if bash is None:
+        pytest.skip("no bash here")
+    import subprocess
+
+    said = subprocess.run([bash, "-c", f"printf %s {shell_word(name)}"], capture_output=True)
+    assert said.stdout == os.fsencode(name)
+
+
+@dataclass(frozen=True)
+class Said:
+    """What a command printed, as it leaves the process."""
+
+    code: int
+    out: str
+    errors: str
+
+    @property
+    def document(self) -> Any:
+        return json.loads(self.out)
+
+
+@pytest.fixture
+def hil(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Said]:
+    """The command line up to the bytes of its output; nothing else may leave it."""
+
+    def command(*arguments: object) -> Said:
+        streams = [io.TextIOWrapper(io.BytesIO(), encoding="utf-8", errors="strict") for _ in "oe"]
+        monkeypatch.setattr("hil.cli.app._end_like_ctrl_c", lambda: None)
+        monkeypatch.setattr(sys, "argv", ["hil", *map(str, arguments)])
+        monkeypatch.setattr(sys, "stdout", streams[0])
+        monkeypatch.setattr(sys, "stderr", streams[1])
+        try:
+            main()
+            code = 0
+        except SystemExit as ending:
+            code = ending.code if isinstance(ending.code, int) else 1
+        finally:
+            monkeypatch.undo()
+        out, errors = (
+            stream.buffer.getvalue().decode() for stream in streams if not stream.flush()
+        )
+        return Said(code, out, errors)
+
+    return command
+
+
+@pytest.fixture(scope="module")
+def lab(measured: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run in a folder, below a folder of runs, under the worst of names; model and schedule."""
+    home = tmp_path_factory.mktemp("odd") / WORST
+    shutil.copytree(measured, home)
+    (home / "runs").rename(home / f"runs-{WORST}")
+    shutil.copy(DWELL, home / f"{WORST}.yaml")
+    for name, spec in (("probe", PROBE), ("campaign", CAMPAIGN)):
+        (home / f"{name}.yaml").write_text(json.dumps(spec))
+    (home / f"schedule-{WORST}.yaml").write_text(
+        "hil_schedule: 1\nname: nightly\nprobe: {spec: probe.yaml, cron: '0 3 * * *'}\n"
+        "campaign: {spec: campaign.yaml}\n"
+    )
+    return home
+
+
+@pytest.fixture
+def places(lab: Path, tmp_path: Path) -> dict[str, Path]:
+    """What the verbs are called with."""
+    (run,) = lab.glob("runs*/*/*/0*")
+    (model, *_) = sorted(run.glob("fit/static-wls*"))
+    return {"spec": lab / f"{WORST}.yaml", "runs": run.parents[2], "run": run, "model": model,
+            "registry": lab / "registry", "new": tmp_path / f"new-{WORST}",
+            "schedule": lab / f"schedule-{WORST}.yaml"}  # fmt: skip
+
+
+VERBS = {
+    "validate": "{spec}",
+    "plan": "{spec}",
+    "excite": "{spec} --out {new}.html",
+    "runs": "--runs {runs}",
+    "runs number>0": "--runs {runs}",
+    "show": "{run}",
+    "recover": "{run}",
+    "resume": "{run}",
+    "report": "{run}",
+    "figures": "{run} --out {new}",
+    "export-data": "{run} --out {new}.csv",
+    "export-data --out {new}.npz": "{run}",
+    "export-data --out {new}.parquet": "{run}",
+    "fit -e static-wls": "{run} --out {new}",
+    "evaluate": "{model} {run}",
+    "payload": "{model} {run}",
+    "gains": "{run} --out {new}.yaml",
+    "validate-loads": "{run}",
+    "rest-pose": "{model}",
+    "export --to c": "{model} --unchecked --out {new}",
+    "export --to json": "{model} --out {new}.json",
+    "import": "{spec} --map {spec} --out {new}.mcap",
+    "drift ur5": "{run} --registry {registry} --page {new}.html",
+    "prune": "--runs {runs} --keep 1 --registry {registry}",
+    "models list": "--registry {registry}",
+    "models show": "ur5 --registry {registry}",
+    "models log": "ur5 --registry {registry}",
+    "models check": "--registry {registry}",
+    "models register": "{model} --name again --registry {new}",
+    "models promote": "ur5 v1 --registry {registry}",
+    "schedule show": "{schedule} --state {new}",
+    "schedule plan": "{schedule}",
+    "schedule hold": "{schedule} --state {new} --reason x",
+    "schedule systemd": "{schedule} --state {new} --out {new}",
+    "fleet report": "{run}",
+    "robots": "--station {run}/station.yaml",
+    "watch": "{run}",
+    "stop": "{run}",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("as_json", [False, True], ids=["text", "--json"])
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_verb_ends_as_it_would_with_another_name(
+    verb: str, as_json: bool, places: dict[str, Path], hil: Callable[..., Said]
+) -> None:
+    words = [word.format(**places) for word in f"{verb} {VERBS[verb]}".split(" ")]
+    said = hil(*words, *(["--json"] if as_json else []))
+    assert said.code in (0, 2, 8, 9, 11)
+    if as_json and "No such option: --json" not in said.errors:
+        for line in said.out.splitlines() if verb == "watch" else [said.out]:
+            json.loads(line)
+
+
+def test_a_run_ends_with_its_report(
+    places: dict[str, Path], tmp_path: Path, hil: Callable[..., Said]
+) -> None:
+    runs = tmp_path / f"runs-{WORST}"
+    said = hil("run", places["spec"], "--runs", runs, "--operator", "ada", "--json")
+    assert said.code == 0, said.errors
+    (run,) = runs.glob("*/*/0*")
+    assert Path(said.document["run"]) == run
+    assert Path(read_json(run / "start.json")["spec"]).samefile(places["spec"])
+    assert "</html>" in (run / "report.html").read_text("utf-8")
+
+
+def test_an_arm_of_ones_own_may_stand_in_a_folder_of_any_name(
+    tmp_path: Path, hil: Callable[..., Said]
+) -> None:
+    home = tmp_path / WORST
+    assert hil("new", "own-urdf", "--urdf", URDF, "--out", home).code == 0
+    (home / "small.yaml").write_text(DWELL.read_text().replace("robot: ur5", "robot: own_arm"))
+    words = ("--station", home / "own_arm-station.yaml", "--runs", home / "runs", "--json")
+    said = hil("run", home / "small.yaml", *words)
+    assert said.code == 0, said.errors
+    report = hil("report", said.document["run"], "--json")  # from the station it has copied
+    assert report.code == 0, report.errors
+
+
+@pytest.fixture(params=NAMES.values(), ids=NAMES)
+def runs(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    """A folder of runs with one of such a name, beside one of an ordinary name."""
+    root = tmp_path / "runs"
+    write_run(root, 7)
+    write_run(root, 8, name="x").rename(root / "2026-11-20" / "ur5" / f"0008-{request.param}")
+    return root
+
+
+def test_the_catalogue_has_a_run_of_any_name(runs: Path, hil: Callable[..., Said]) -> None:
+    there = {str(path) for path in runs.glob("*/*/*")}
+    for query in ((), ("number>0",), ("number>0", "--rebuild")):  # read, kept, and read again
+        said = hil("runs", *query, "--runs", runs, "--json")
+        assert {one["run"] for one in said.document} == there
+        assert hil("runs", *query, "--runs", runs).out.count("completed") == 2
+
+
+@pytest.mark.parametrize("name", NAMES.values(), ids=NAMES)
+def test_a_suggested_command_names_the_folder_whatever_its_name(
+    name: str, tmp_path: Path, hil: Callable[..., Said]
+) -> None:
+    bash = shutil.which("bash")
+    if bash is None:
+        pytest.skip("no bash here")
+    import subprocess
+
+    root = tmp_path / name / "runs"
+    run = write_run(root, 7)
+    table = hil("runs", "--runs", root).out
+    entries = hil("runs", "--runs", root, "--json").document
+    hint = damaged(root / "ur5", "a line is damaged").hint
+    suggested = {
+        table.partition("hil report 7 --runs ")[2]: root,
+        entries[0]["next"].removeprefix("hil report "): run,
+        hint.partition(" --registry ")[2]: root,
+    }
+    for words, folder in suggested.items():
+        shell = subprocess.run([bash, "-c", f"printf %s {words}"], capture_output=True)
+        assert shell.stdout == os.fsencode(folder)
+
+
+def crawl(client: Any, first: Iterable[str]) -> dict[str, str]:
+    """Every page that is linked from some, with all links of each leading somewhere."""
+    pages: dict[str, str] = {}
+    left = list(first)
+    while left:
+        address = left.pop()
+        if address in pages:
+            continue
+        answer = client.get(address)
+        assert answer.status_code == 200, (address, answer.text[-600:])
+        pages[address] = ""
+        if answer.headers["content-type"].startswith("text/html") and "sandbox" not in str(
+            answer.headers
+        ):
+            pages[address] = answer.text
+            require_fit_for_all(answer.text)
+            links = _Links()
+            links.feed(answer.text)
+            left += [link.partition("#")[0] for link in links.found if link[:1] == "/"]
+    return pages
+
+
+class _Links(HTMLParser):
+    def __init__(self) -> None:
+        super().__init__()
+        self.found: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        """Look at a tag."""
+        self.found += [value for name, value in attrs if tag == "a" and name == "href" and value]
+
+
+NAVIGATION = ("/", "/runs", "/models", "/schedules", "/fleets", "/start")
+
+
+def test_every_page_of_the_dashboard_is_there_with_all_it_links_to(
+    lab: Path, places: dict[str, Path]
+) -> None:
+    fleet = FleetGroup.create(places["runs"], "x", {"ur5": "hil: 1\n"}, places["spec"], "")
+    report = {"run": str(places["run"]), "outcome": "completed"}
+    fleet.write([Member("x", "ur5", report)])
+    odd = fleet.path.rename(fleet.path.with_name(f"fleet-{WORST}"))
+    (odd / "fleet.html").write_text("<p>all")
+    client = dashboard(lab, runs=places["runs"], specs=lab)
+    pages = crawl(client, NAVIGATION)
+    for wanted in ("/report", ".html", "/file?path=", "/models/ur5/v1", "/schedules/", "/fleets/"):
+        assert any(wanted in address for address in pages), wanted
+    shutil.rmtree(odd)
+
+
+@pytest.mark.parametrize("name", NAMES.values(), ids=NAMES)
+def test_stop_is_on_every_page_beside_a_run_of_any_name(tmp_path: Path, name: str) -> None:
+    root = tmp_path / "runs"
+    write_run(root, 7)
+    with ExitStack() as held:
+        run = RunDirectory.create(root, "ur5", "x")
+        run.write_start({"uid": "u"})
+        odd = run.path.rename(run.path.with_name(f"0009-{name}"))
+        held.enter_context(hold_run(odd))
+        client = dashboard(tmp_path)
+        where = f"/runs/{quoted(odd.relative_to(root))}"
+        for address in (*NAVIGATION, where, "/no"):
+            answer = client.get(address)
+            assert answer.status_code == (404 if address == "/no" else 200), answer.text[-600:]
+            assert f'action="{where}/stop"' in answer.text
+        crawl(client, NAVIGATION)
+        told = {"csrf": client.app.state.settings.csrf}
+        answer = client.post(f"{where}/stop", data=told, headers={"accept": "application/json"})
+        assert "does not listen" in answer.json()["error"]  # found, and its process is a test
+
+
+def test_a_spec_of_any_name_is_checked_and_planned_from_its_form(
+    lab: Path, places: dict[str, Path]
+) -> None:
+    client = dashboard(lab, runs=places["runs"], specs=lab)
+    name = name_text(places["spec"].name)
+    assert f'<option value="{escape(name)}">' in client.get("/start").text
+    form = {"csrf": client.app.state.settings.csrf, "spec": name, "do": "check"}
+    answer = client.post("/start", data=form)
+    assert answer.status_code == 200, answer.text[-600:]
+    assert "What it would do" in answer.text
+    assert f'<option value="{escape(name)}" selected>' in answer.text
+
+
+@pytest.mark.parametrize("inside", ["start.json", "stop.json", "plan.json", "events.jsonl", "fit"])
+def test_a_foreign_folder_costs_its_own_row_only(tmp_path: Path, inside: str) -> None:
+    runs = tmp_path / "runs"
+    write_run(runs, 7)
+    foreign = write_run(runs, 8, name="foreign") / inside
+    for make in (foreign.mkdir, lambda: foreign.symlink_to(foreign), lambda: os.mkfifo(foreign)):
+        shutil.rmtree(foreign) if foreign.is_dir() else foreign.unlink(missing_ok=True)
+        make()
+        client = dashboard(tmp_path)
+        for address in ("/", "/runs", "/runs/2026-11-20/ur5/0007-fourier"):
+            answer = client.get(address)
+            assert answer.status_code == 200, answer.text[-600:]
+            assert "0007-fourier" in answer.text
+        assert "0008-foreign" in client.get("/runs").text

@@ -1,0 +1,129 @@
+"""What `hil plan` shows: the preview's contract and the picture."""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ET
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hil.arms.payload import Payload
+from hil.excitation.motion import Hold, Line
+from hil.planning.plan import DwellRule, LoadStep, Plan, Step
+from hil.planning.plan_preview import preview
+from hil.recording.mcap_writer import McapWriter
+from hil.report.plan_drawing import (
+    close_up,
+    overview,
+    peaks_and_places,
+    plan_picture,
+    timeline_of,
+)
+from hil.robot.state import state_topic
+from tests.support.plan_parts import plan_of
+
+pytestmark = pytest.mark.quick
+
+NAMES = tuple(f"shoulder_{i}_joint" for i in range(6))
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+@cache
+def dwell_plan() -> Plan:
+    return plan_of(reference={"every": 3})
+
+
+@cache
+def fourier_plan() -> Plan:
+    return plan_of(excitation={"kind": "fourier", "trajectories": 2})
+
+
+def test_the_preview_keeps_its_keys() -> None:
+    shown = preview(dwell_plan()).to_dict()
+    contract = (
+        "waypoints", "duration_s", "recording_bytes", "margins", "condition_number", "hash",
+    )  # fmt: skip
+    assert set(contract) <= set(shown)
+    assert shown["waypoints"] == 6
+    assert shown["hash"] == dwell_plan().hash
+    assert (shown["steps"]["dwell"], shown["steps"]["reference"]) == (12, 6)
+    assert sum(shown["steps"].values()) == len(dwell_plan())
+    assert {"position_rad", "velocity_rad_s", "acceleration_rad_s2", "clearance_m"} <= set(
+        shown["margins"]
+    )
+
+
+def test_the_duration_is_motions_and_dwells() -> None:
+    line = Line((0.0,) * 6, (0.5,) * 6, 1.0, 2.0, 20.0, 125.0)
+    steps = (Step(0, "payload"), Step(1, "move", line), Step(2, "dwell", Hold(line.goal), pose=0))
+    plan = Plan("p", "ur5", NAMES, 125.0, steps, (LoadStep(Payload()),), DwellRule(dwell_s=1.0))
+    assert 1.0 < plan.duration_s - line.duration_s < 1.5
+    assert preview(plan).samples == round(plan.duration_s * 125.0)
+
+
+def test_the_recording_takes_about_as_much_as_estimated(tmp_path: Path) -> None:
+    plan = dwell_plan()
+    topic = state_topic(6, plan.rate_hz, clock="virtual", effort_unit="A")
+    samples = [motion.sample(plan.rate_hz) for motion in plan.motions if motion.duration_s > 0]
+    q, qd, qdd = (
+        np.concatenate([getattr(s, name) for s in samples]) for name in ("q", "qd", "qdd")
+    )
+    noise = np.random.default_rng(0).standard_normal((3, *q.shape))
+    rows = topic.blank(len(q))
+    rows["device_time"] = np.arange(len(q)) / plan.rate_hz
+    rows["host_time"] = 1.8e9 + rows["device_time"]
+    rows["q_target"], rows["qd_target"], rows["qdd_target"] = q, qd, qdd
+    rows["q"], rows["qd"] = q + 2e-5 * noise[0], qd + 2e-3 * noise[1]
+    rows["effort_target"], rows["temperature"] = np.sin(q), 30.0
+    rows["effort"] = np.sin(q) + 0.05 * noise[2]
+    with McapWriter(tmp_path / "00.mcap", [topic], joint_names=plan.joint_names) as writer:
+        writer.write(topic.name, rows)
+    measured = (tmp_path / "00.mcap").stat().st_size / len(rows)
+    estimated = preview(plan).recording_bytes / preview(plan).samples
+    assert estimated == pytest.approx(measured, rel=0.25)
+
+
+@pytest.mark.parametrize("plan_of_kind", [dwell_plan, fourier_plan])
+def test_the_picture_is_one_self_contained_svg(plan_of_kind: object, tmp_path: Path) -> None:
+    plan = plan_of_kind()  # type: ignore[operator]
+    path = plan_picture(plan, tmp_path / "plan.svg")
+    written = path.read_text("utf-8")
+    assert ET.fromstring(written).tag == SVG + "svg"
+    inside = re.sub(r'(href="|url\()#|xmlns(:xlink)?="[^"]*"', "", written)
+    assert not any(word in inside for word in ("http", "href", "url(", "<script"))
+    assert "prefers-color-scheme: dark" in written
+    assert plan.hash[:12] in written
+
+
+def test_the_picture_marks_every_dwell_of_every_joint() -> None:
+    figure = overview(dwell_plan(), timeline_of(dwell_plan()))
+    assert len(figure.panels) == 6
+    assert [len(panel.curves[-1].y) for panel in figure.panels] == [12 + 6] * 6
+
+
+def test_the_picture_shows_where_the_flange_is_measured() -> None:
+    _, above, side = peaks_and_places(dwell_plan(), timeline_of(dwell_plan())).panels
+    # Six poses; the reference is the first of them.
+    assert len(above.curves[0].x) == len(side.curves[0].x) == 6
+
+
+def test_the_picture_shades_every_dwell_it_looks_closer_at() -> None:
+    (panel,) = close_up(dwell_plan(), timeline_of(dwell_plan())).panels
+    assert {span.approach for span in panel.spans} == {1, -1}
+    assert len(panel.curves) == 6
+
+
+def test_the_picture_names_joints_and_limits(tmp_path: Path) -> None:
+    written = plan_picture(fourier_plan(), tmp_path / "plan.svg").read_text("utf-8")
+    for words in ("1 shoulder pan", "6 wrist 3", "limit: 100 °/s, 300 °/s²", "2 trajectories"):
+        assert words in written
+
+
+def test_colours_of_the_picture_follow_the_screen(tmp_path: Path) -> None:
+    written = plan_picture(fourier_plan(), tmp_path / "plan.svg").read_text("utf-8")
+    fixed = set(re.findall(r"(?:fill|stroke): (#[0-9a-f]{6})", written)) - {"#ffffff"}
+    assert fixed == set()
+    assert "#4da3f7" in written, "the measured colour on a dark screen"

@@ -1,0 +1,364 @@
+"""The study of loads: what it fits to, what it judges on, what it says; and its verb."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from hil.arms.payload import Payload
+from hil.cli.app import app
+from hil.core.errors import DataError, FitError, PluginError, SpecError
+from hil.data.splits import assert_disjoint
+from hil.estimators.payload_declaration import Declaration
+from hil.estimators.rigid_linear import RigidWls
+from hil.studies.base import study
+from hil.studies.inverse_cases import recorded as recorded_from
+from hil.studies.load_models import LoadCase, Scored, UnderLoads, folds_of, load_cases, unseen
+from hil.studies.load_tables import warnings
+from hil.studies.result import StudyResult, Table, faults_of
+from hil.workflow import studies as campaign
+from tests.support.load_parts import OFF_AXIS, ON_AXIS, recorded, sweep
+from tests.support.report_runs import dwell_plan, write_run
+from tests.support.study_parts import assert_figures_survive_json
+from tests.support.synthetic_motion import nominal, raw
+
+SMALL: dict[str, Any] = {
+    "cutoff_hz": 20.0,
+    "rate_hz": 50.0,
+    "estimators": ["rigid-wls"],
+    "hold_out": 2,
+}
+
+
+@cache
+def found(declared: tuple[Payload, ...] = OFF_AXIS) -> StudyResult:
+    return study("load-validation", **SMALL).run(sweep(declared=declared), nominal())
+
+
+JOINTS = [f"J{j}" for j in range(1, 7)]
+
+
+def table(result: StudyResult, key: str) -> Table:
+    (one,) = (table for part in result.parts for table in part.tables if table.key == key)
+    return one
+
+
+@pytest.mark.quick
+def test_told_of_the_load_a_model_errs_far_less() -> None:
+    mean = {row[0]: row[-1] for row in table(found(), "table-load-errors").rows}
+    for load in ("1 kg", "3 kg", "5 kg"):
+        for told in ("declared", "identified"):
+            assert mean[f"{load}, rigid-wls, {told}"] < 0.5 * mean[f"{load}, rigid-wls, unaware"]
+    assert mean["0 kg, rigid-wls, unaware"] == mean["0 kg, rigid-wls, declared"]
+    assert "0 kg, rigid-wls, identified" not in mean
+
+
+def test_every_load_has_its_bars_told_and_not() -> None:
+    mean, joints = found().parts[0].figures
+    assert [panel.title for panel in mean.panels] == ["rigid-wls", "rigid-wls, told of the load"]
+    assert [panel.title for panel in joints.panels] == JOINTS
+    told = ["unaware", "declared", "calibrated", "identified"]
+    for panel, ways in (
+        (mean.panels[0], told),
+        (mean.panels[1], told[1:]),
+        (joints.panels[0], told),
+    ):
+        assert [c.name for c in panel.curves] == ways
+        for curve in panel.curves:
+            assert curve.x == ("0 kg", "1 kg", "3 kg", "5 kg")
+    assert faults_of(found()) == []
+    assert_figures_survive_json(found())
+
+
+BOTH = ("rigid-wls", "rigid-irls")
+
+
+@cache
+def found_of_both() -> StudyResult:
+    return study("load-validation", **SMALL | {"estimators": BOTH}).run(sweep(), nominal())
+
+
+def test_every_estimator_is_judged_under_every_load() -> None:
+    rows = {row[0]: row[1:] for row in table(found_of_both(), "table-load-errors").rows}
+    for name in BOTH:
+        for load in ("1 kg", "3 kg", "5 kg"):
+            assert (
+                rows[f"{load}, {name}, declared"][-1] < 0.5 * rows[f"{load}, {name}, unaware"][-1]
+            )
+            assert len(rows[f"{load}, {name}, identified"]) == 7
+    alone = {row[0]: row[1:] for row in table(found(), "table-load-errors").rows}
+    assert {key: rows[key] for key in alone} == alone
+    mean, joints = found_of_both().parts[0].figures
+    assert [panel.title for panel in mean.panels[::2]] == [*BOTH]
+    assert {tuple(c.name for c in panel.curves) for panel in joints.panels} == {BOTH}
+    assert faults_of(found_of_both()) == []
+
+
+def test_the_first_of_several_checks_the_declarations() -> None:
+    assert table(found_of_both(), "table-declarations").title.endswith("checked by rigid-wls")
+    for key in ("table-declarations", "table-mass", "table-centre"):
+        assert table(found_of_both(), key) == table(found(), key)
+
+
+def test_the_worst_load_is_said_of_every_estimator() -> None:
+    rows = {row[0]: row[-1] for row in table(found_of_both(), "table-load-errors").rows}
+    for name, said in zip(BOTH, found_of_both().summary[2:], strict=True):
+        errors = {
+            load: float(rows[f"{load}, {name}, declared"]) for load in ("1 kg", "3 kg", "5 kg")
+        }
+        worst = max(errors, key=errors.__getitem__)
+        ratio = errors[worst] / float(rows[f"0 kg, {name}, declared"])
+        assert said.startswith(f"{name}, mean over the joints: ")
+        assert f"with {worst}, {rows[f'{worst}, {name}, unaware']:.3g} N·m unaware" in said
+        assert f"declared ({ratio:.2f} times that of 0 kg, " in said
+        assert "by which motions are held out)" in said
+
+
+def test_an_estimator_that_fails_costs_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    from hil.estimators.rigid_irls import RigidIrls
+
+    def failing(self: RigidIrls, data: Any, robot: Any) -> Any:
+        raise FitError("it does not converge")
+
+    monkeypatch.setattr(RigidIrls, "fit", failing)
+    asked = SMALL | {"figures": False, "estimators": ["rigid-irls", "rigid-wls"]}
+    result = study("load-validation", **asked).run(sweep(), nominal())
+    assert "rigid-irls: it does not converge" in result.warnings
+    assert table(result, "table-declarations").rows == table(found(), "table-declarations").rows
+    with pytest.raises(FitError, match="does not converge"):
+        study("load-validation", **asked | {"estimators": ["rigid-irls"]}).run(sweep(), nominal())
+
+
+def test_correct_declarations_are_said_to_agree() -> None:
+    assert [row[1] for row in table(found(), "table-declarations").rows] == 3 * ["agrees"]
+    assert found().summary[0].startswith("All 3 declared loads agree")
+    assert found().summary[1].startswith("Masses wrong by less than this would not")
+    assert found().warnings == ()
+    mass, centre = (table(found(), key) for key in ("table-mass", "table-centre"))
+    assert [row[0] for row in mass.rows] == ["1 kg", "3 kg", "5 kg"]
+    assert [row[0] for row in centre.rows[3:6]] == ["3 kg, x", "3 kg, y", "3 kg, z"]
+    assert [row[1] for row in centre.rows[3:6]] == pytest.approx([-30.0, 55.0, 45.0])
+    for _, declared, identified, off, allowed in (*mass.rows, *centre.rows):
+        assert off == pytest.approx(identified - declared)
+        assert abs(off) < allowed
+    assert abs(mass.rows[1][3]) < 0.05
+
+
+def test_a_tool_mounted_the_wrong_way_round_is_named() -> None:
+    x, y, z = OFF_AXIS[1].com
+    declared = (OFF_AXIS[0], replace(OFF_AXIS[1], com=(-x, -y, z)), OFF_AXIS[2])
+    rows = table(found(declared), "table-declarations").rows
+    assert [row[1] for row in rows] == ["agrees", "CONTRADICTED", "agrees"]
+    assert "turned by" in str(rows[1][2])
+    assert found(declared).summary[0].startswith("3 kg: turned by")
+
+
+def test_loads_on_the_axis_are_said_to_hide_their_angle() -> None:
+    result = study("load-validation", **SMALL, figures=False).run(sweep(mounted=ON_AXIS), nominal())
+    for load in ("1 kg", "3 kg", "5 kg"):
+        told = f"{load}: the centre of mass cannot be told from the flange's axis (±"
+        assert any(note.startswith(told) and "observed" in note for note in result.warnings)
+    assert {row[3] for row in table(result, "table-declarations").rows} == {"no"}
+    assert result.parts[0].figures == ()
+
+
+def test_no_motion_is_identified_from_and_judged() -> None:
+    of = recorded_from(sweep(), nominal(), 20.0, 50.0)
+    cases = load_cases(of, frozenset([("run2", 2)]))
+    assert [case.name for case in cases] == ["0 kg", "1 kg", "3 kg", "5 kg"]
+    for case in cases[1:]:
+        assert case.told is not None
+        assert_disjoint(case.told, case.judged)
+        assert len(case.judged.conditions) == 1
+
+
+def test_a_stored_model_is_judged_on_what_it_has_not_seen(tmp_path: Path) -> None:
+    run = sweep()
+    seen = run.select(lambda c: c.load == 0 and c.trajectory not in (2, 3))
+    saved = RigidWls().fit(seen, nominal()).save(tmp_path)
+    _, held = unseen([saved], recorded_from(run, nominal(), 20.0, 50.0))
+    assert sorted(number for _, number in held) == [2, 3]
+    result = study("load-validation", **SMALL | {"estimators": ["none"], "models": [str(saved)]})
+    assert result.run(run, nominal()).summary[0].startswith("All 3 declared loads agree")
+
+
+def test_of_several_stored_models_only_what_none_has_seen_is_judged(tmp_path: Path) -> None:
+    of = recorded_from(sweep(), nominal(), 20.0, 50.0)
+
+    def saved(name: str, *numbers: int) -> Path:
+        seen = sweep().select(lambda c: c.load == 0 and c.trajectory in numbers)
+        return RigidWls().fit(seen, nominal()).save(tmp_path / name)
+
+    first, second = saved("a", 1, 2), saved("b", 1, 3)
+    models, held = unseen([first, second], of)
+    assert {number for _, number in held} == {4}
+    assert [name for name, _ in models] == [first.name, second.name]
+
+
+def test_a_model_that_has_seen_everything_is_refused(tmp_path: Path) -> None:
+    of = recorded_from(sweep(), nominal(), 20.0, 50.0)
+    saved = RigidWls().fit(sweep().select(lambda c: c.load == 0), nominal()).save(tmp_path / "a")
+    with pytest.raises(DataError, match="no motion of this run is left"):
+        unseen([saved], of)
+    saved = RigidWls().fit(sweep(), nominal()).save(tmp_path / "b")
+    with pytest.raises(DataError, match="with a load"):
+        unseen([saved], of)
+
+
+def test_a_run_with_one_load_is_refused() -> None:
+    bare = sweep().select(lambda c: c.load == 0)
+    with pytest.raises(FitError, match="no load besides its first"):
+        study("load-validation", **SMALL).run(bare, nominal())
+
+
+def test_a_load_that_cannot_be_identified_is_told_and_the_others_are_judged(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    from hil.studies import load_models
+
+    real = load_models.estimate_payload
+
+    def failing(model: Any, data: Any, **options: Any) -> Any:
+        if data.conditions[0].load == 1:
+            raise FitError("the load did not settle")
+        return real(model, data, **options)
+
+    monkeypatch.setattr(load_models, "estimate_payload", failing)
+    result = study("load-validation", **SMALL).run(sweep(), nominal())
+    assert "1 kg, rigid-wls: not identified: the load did not settle" in result.warnings
+    verdicts = [row[1] for row in table(result, "table-declarations").rows]
+    assert verdicts == ["not checked", "agrees", "agrees"]
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"false_alarm": 0.0},
+        {"friction": "free"},
+        {"models": 3},
+        {"hold_out": 0},
+        {"estimators": []},
+        {"estimators": "rigid-wls"},
+        {"estimators": ["rigid-wls", "rigid-wls"]},
+    ],
+)
+def test_parameters_that_cannot_be_are_refused(wrong: dict[str, Any]) -> None:
+    with pytest.raises(SpecError, match=next(iter(wrong))):
+        study("load-validation", **wrong)
+
+
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(campaign, "load_source", lambda run: raw(sweep()))
+    monkeypatch.setattr(campaign, "load_model", lambda robot, gravity: nominal())
+    path = write_run(tmp_path, dwell_plan(poses=2)).path
+    told = "study: [{study: load-validation, cutoff_hz: 20, rate_hz: 50}]\n"
+    with (path / "spec.yaml").open("a", encoding="utf-8") as spec:
+        spec.write(told)
+    return path
+
+
+def test_the_verb_prints_verdicts_and_makes_the_page(run: Path) -> None:
+    done = CliRunner().invoke(app, ["validate-loads", str(run), "-e", "rigid-wls"])
+    assert done.exit_code == 0, done.output
+    assert "All 3 declared loads agree" in done.stdout
+    assert f"report: {run / 'report.html'}" in done.stdout
+
+
+def test_the_verb_prints_one_document_with_a_stored_model(run: Path, tmp_path: Path) -> None:
+    saved = RigidWls().fit(recorded(1, 21, 22, 23), nominal()).save(tmp_path / "model")
+    done = CliRunner().invoke(app, ["validate-loads", str(run), "--model", str(saved), "--json"])
+    assert done.exit_code == 0, done.output
+    (told,) = json.loads(done.stdout)["studies"]
+    assert told["study"] == "load-validation"
+    assert told["parameters"]["models"] == [str(saved)]
+
+
+def test_the_verb_takes_several_estimators(run: Path) -> None:
+    asked = ["validate-loads", str(run), "-e", "rigid-wls", "-e", "rigid-irls", "--json"]
+    done = CliRunner().invoke(app, asked)
+    assert done.exit_code == 0, done.output
+    (told,) = json.loads(done.stdout)["studies"]
+    assert told["parameters"]["estimators"] == ["rigid-wls", "rigid-irls"]
+
+
+def test_a_misspelt_estimator_is_refused_before_anything_is_judged(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def judged(*_: Any) -> None:
+        raise AssertionError("something was judged")
+
+    monkeypatch.setattr("hil.studies.load_validation.judged", judged)
+    asked = SMALL | {"estimators": ["rigid-wls", "rigid-wsl"]}
+    with pytest.raises(PluginError, match="rigid-wsl"):
+        study("load-validation", **asked).run(sweep(), nominal())
+
+
+def test_every_motion_is_judged_once_from_the_last_to_the_first() -> None:
+    every = [("run", i) for i in range(7)]
+    folds = folds_of(every, None, 2)
+    assert [sorted(i for _, i in fold) for fold in folds] == [[5, 6], [3, 4], [1, 2], [0]]
+    first = frozenset(every[:3])
+    assert [len(fold) for fold in folds_of(every, first, 2)] == [3, 3, 1]
+    with pytest.raises(FitError, match="cannot be held out"):
+        folds_of(every, None, 7)
+
+
+def test_a_stored_model_and_a_fresh_fit_of_it_are_worth_the_same(tmp_path: Path) -> None:
+    conditions = tuple(replace(c, source="run") for c in sweep().conditions)
+    run = replace(sweep(), conditions=conditions)
+    seen = run.select(lambda c: c.load == 0 and c.trajectory not in (3, 4))
+    saved = RigidWls().fit(seen, nominal()).save(tmp_path)
+    asked = SMALL | {"estimators": [], "models": [str(saved)], "hold_out": None}
+    again = study("load-validation", **asked).run(run, nominal())
+    pair = [table(result, "table-load-errors").rows for result in (again, found())]
+    for one, other in zip(*pair, strict=True):
+        assert one[:1] == other[:1]
+        assert one[1:] == pytest.approx(other[1:], rel=1e-6)
+    assert str(saved) in again.title
+    assert "fitted for this study" in found().title
+
+
+def test_gains_that_the_other_loads_tell_make_a_declared_load_err_less() -> None:
+    mean = {row[0]: row[-1] for row in table(found(), "table-load-errors").rows}
+    told = [float(mean[f"5 kg, rigid-wls, {what}"]) for what in ("declared", "calibrated")]
+    assert told[1] < 0.97 * told[0]
+    assert "0 kg, rigid-wls, calibrated" not in mean
+
+
+def told_of(*loads: tuple[float, float, float]) -> list[str]:
+    """Warnings of loads of a mass, found so much heavier, and how far off they may be."""
+    scored = []
+    for mass, off, limit in loads:
+        declared = Payload(mass, (0.0, 0.0, 0.05) if mass else (0.0, 0.0, 0.0))
+        values, limits = np.zeros(10), np.full(10, limit)
+        values[0] = mass + off
+        check = Declaration(declared, values, limits, (), True, mass == 1.0, np.zeros(6))
+        case = LoadCase(f"{mass:g} kg", declared, sweep(), sweep())
+        scored.append(Scored(case, {"declared": np.ones(6)}, check=check))
+    bare = Scored(LoadCase("bare", Payload(), None, sweep()), {"declared": np.ones(6)})
+    return list(warnings([UnderLoads("a", "honest", (bare, *scored), ())], ()))
+
+
+def test_what_could_not_be_seen_is_said() -> None:
+    assert told_of((1.0, 0.02, 0.05), (1.0, -0.02, 0.05)) == []
+    assert any(note.startswith("a single load") for note in told_of((1.0, 0.0, 0.1)))
+    (shared,) = told_of((1.0, 0.04, 0.05), (1.0, 0.05, 0.06))
+    assert "0.04 to 0.05 kg heavier" in shared
+    assert told_of((1.0, 0.01, 0.05), (1.0, 0.05, 0.06)) == []  # as gains would have it
+    (axis,) = told_of((3.0, 0.0, 0.03), (1.0, 0.0, 0.03))
+    assert "cannot be told from the flange's axis (±30 mm)" in axis
+    assert told_of((0.0, 0.0, 0.03), (1.0, 0.0, 0.03)) == []
+
+
+def test_the_verb_takes_a_model_or_an_estimator(run: Path) -> None:
+    done = CliRunner().invoke(app, ["validate-loads", str(run), "--model", "m", "-e", "rigid-wls"])
+    assert isinstance(done.exception, SpecError)
+    assert "exclude each other" in done.exception.message

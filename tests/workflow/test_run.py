@@ -1,0 +1,180 @@
+"""The main job on the embedded mock: spec → plan → run → fit → verdict → report."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hil
+from hil.core.errors import DataError
+from hil.evaluation.holdout import hold_out
+from hil.importers.sources import load_source
+from hil.recording.mcap_reader import read_topic
+from hil.recording.run_directory import RunDirectory
+from hil.spec.experiment import HoldOut
+from hil.workflow.running import RunReport
+from tests.support.paths import EXPERIMENTS
+
+
+@pytest.fixture(scope="module")
+def dwell(tmp_path_factory: pytest.TempPathFactory) -> RunReport:
+    runs = tmp_path_factory.mktemp("dwell")
+    return hil.run(hil.load(EXPERIMENTS / "ci_dwell_12.yaml"), runs=runs)
+
+
+@pytest.fixture(scope="module")
+def fourier(tmp_path_factory: pytest.TempPathFactory) -> RunReport:
+    runs = tmp_path_factory.mktemp("fourier")
+    return hil.run(hil.load(EXPERIMENTS / "ci_fourier_2.yaml"), runs=runs)
+
+
+def changed_spec(tmp_path: Path, old: str, new: str, name: str = "ci_dwell_12.yaml") -> Path:
+    text = (EXPERIMENTS / name).read_text("utf-8")
+    assert old in text
+    spec = tmp_path / name
+    spec.write_text(text.replace(old, new), "utf-8")
+    return spec
+
+
+@pytest.mark.quick
+def test_a_dwell_experiment_completes_with_a_judged_model(dwell: RunReport) -> None:
+    assert dwell.error is None
+    assert dwell.outcome == "completed"
+    assert dwell.verdict == "passed"
+    assert dwell.gaps == dwell.duplicates == 0
+    assert dwell.report is not None
+    assert dwell.report.is_file()
+
+
+@pytest.mark.quick
+def test_a_fourier_experiment_completes_with_a_judged_model(fourier: RunReport) -> None:
+    assert fourier.error is None
+    assert fourier.outcome == "completed"
+    assert fourier.verdict == "passed"
+
+
+def test_the_run_directory_explains_itself(dwell: RunReport) -> None:
+    run = RunDirectory.open(dwell.run)
+    assert run.status == "completed"
+    assert run.verify() == []
+    names = {path.name for path in dwell.run.iterdir()}
+    assert {
+        "start.json", "stop.json", "spec.yaml", "station.yaml", "plan.json", "preflight.json",
+        "recording", "events.jsonl", "fit", "verdict.json", "report.html",
+    } <= names  # fmt: skip
+    assert run.start["plan_hash"]
+    assert run.start["robot"]["effort_kind"] == "current"
+
+
+def test_every_pose_is_dwelt_at_from_both_sides(dwell: RunReport) -> None:
+    dwells = load_source(dwell.run).of_kind("dwell")
+    visits = {(c.pose, c.approach) for c in dwells.conditions}
+    assert visits == {(pose, side) for pose in range(12) for side in (-1, 1)}
+    assert set(np.diff(dwells.offsets)) == {10}
+
+
+def test_the_recording_holds_what_the_stop_document_counts(dwell: RunReport) -> None:
+    rows = read_topic(dwell.run / "recording" / "00.mcap")
+    assert len(rows) == dwell.samples
+    np.testing.assert_allclose(np.diff(rows["device_time"]), 1 / 125, rtol=1e-6)
+
+
+def test_held_out_poses_are_whole_and_unseen(dwell: RunReport) -> None:
+    parts = hold_out(load_source(dwell.run), HoldOut(poses_percent=25))
+    train = {c.pose for c in parts.train.conditions}
+    test = {c.pose for c in parts.test.conditions}
+    assert len(test) == 3
+    assert train.isdisjoint(test)
+
+
+def test_held_out_trajectories_are_the_last_ones(fourier: RunReport) -> None:
+    parts = hold_out(load_source(fourier.run), HoldOut(trajectories=1))
+    assert {c.trajectory for c in parts.test.conditions} == {2}
+    assert {c.trajectory for c in parts.train.conditions} == {0, 1}
+
+
+def test_holding_out_nothing_is_refused(fourier: RunReport) -> None:
+    with pytest.raises(DataError, match="hold_out"):
+        hold_out(load_source(fourier.run), HoldOut(trajectories=0))
+
+
+def test_the_same_seed_gives_byte_identical_samples(dwell: RunReport, tmp_path: Path) -> None:
+    again = hil.run(hil.load(EXPERIMENTS / "ci_dwell_12.yaml"), runs=tmp_path)
+    first = read_topic(dwell.run / "recording" / "00.mcap")
+    second = read_topic(again.run / "recording" / "00.mcap")
+    assert first.tobytes() == second.tobytes()
+
+
+def test_a_model_that_misses_its_criteria_is_rejected(tmp_path: Path) -> None:
+    spec = changed_spec(tmp_path, "accept:", "accept:\n  nrmse: {max: 0.001}")
+    report = hil.run(hil.load(spec), runs=tmp_path)
+    assert report.outcome == "completed"
+    assert report.verdict == "rejected"
+    verdict = json.loads((report.run / "verdict.json").read_text("utf-8"))
+    assert [row["passed"] for row in verdict["rows"] if row["metric"] == "nrmse"] == [False]
+
+
+def test_the_shipped_experiment_with_loads_is_judged_on_what_is_new_in_both(tmp_path: Path) -> None:
+    text = (EXPERIMENTS / "ur5_fourier_loads.yaml").read_text("utf-8")
+    for old, new in (
+        ("trajectories: 12", "trajectories: 2"),
+        ("trajectories: 3,", "trajectories: 1,"),
+        ("duration_s: 60", "duration_s: 5"),
+    ):
+        assert old in text
+        text = text.replace(old, new)
+    spec = tmp_path / "loads.yaml"
+    spec.write_text(text, "utf-8")
+    report = hil.run(hil.load(spec), runs=tmp_path)
+    assert report.error is None
+    assert (report.outcome, report.verdict) == ("completed", "passed")
+    document = json.loads(next(report.run.glob("fit/*/evaluation.json")).read_text("utf-8"))
+    assert document["held_out"]["what"] == (
+        "the last trajectory with 3 kg: motions and loads the fit has not seen"
+    )
+    assert len(document["held_out"]["series"]) == 1
+    assert [part["what"] for part in document["beside"]] == [
+        "new load, seen motion",
+        "new motion, seen load",
+    ]
+    page = (report.run / "report.html").read_text("utf-8")
+    assert "new loads and new motions apart" in page
+
+
+def test_a_run_that_trips_keeps_its_data_and_is_not_judged(tmp_path: Path) -> None:
+    lock = "interlocks: [{kind: tracking_error, limit_rad: 0.0005}]"
+    spec = changed_spec(tmp_path, "robot: ur5", f"robot: ur5\n{lock}")
+    report = hil.run(hil.load(spec), runs=tmp_path)
+    assert report.outcome == "tripped"
+    assert report.verdict == "not judged"
+    assert report.samples == len(read_topic(report.run / "recording" / "00.mcap"))
+    assert report.report is not None
+    assert "tracking_error" in RunDirectory.open(report.run).stop["reason"]  # type: ignore[index]
+
+
+def test_the_mock_mounts_each_load_and_the_model_knows(tmp_path: Path) -> None:
+    spec = changed_spec(tmp_path, "robot: ur5", "robot: ur5\nloads: [{mass_kg: 0}, {mass_kg: 2}]")
+    spec.write_text(spec.read_text("utf-8").replace("{poses_percent: 20}", "{loads: [1]}"), "utf-8")
+    report = hil.run(hil.load(spec), runs=tmp_path)
+    document = json.loads(next(report.run.glob("fit/*/evaluation.json")).read_text("utf-8"))
+    assert report.error is None
+    assert document["held_out"]["what"] == "2 kg, motions seen in training with other loads"
+    assert report.verdict == "passed"
+    data = load_source(report.run).of_kind("dwell")
+    assert {(c.load, c.payload.mass) for c in data.conditions} == {(0, 0.0), (1, 2.0)}
+    lift = {0: [], 1: []}  # type: dict[int, list[float]]
+    for condition, rows in data.slices():
+        lift[condition.load].append(float(np.abs(data["effort"][rows, 1]).mean()))
+    assert np.mean(lift[1]) > np.mean(lift[0]) + 0.5
+
+
+def test_runs_are_listed_and_described(dwell: RunReport) -> None:
+    from hil import api
+
+    listed: list[dict[str, Any]] = api.list_runs(dwell.run.parents[2])
+    assert [entry["verdict"] for entry in listed] == ["passed"]
+    assert api.describe_run(dwell.run)["stop"]["outcome"] == "completed"
