@@ -27,7 +27,7 @@ from hil.spec.series import load_series_spec
 from hil.workflow.operator import load_answers
 from hil_mock_robot.ur.faults import UrFault
 
-MOST_CPU_S = 0.05
+MOST_CPU_S = 0.5
 MOST_BYTES = 10e6
 
 
