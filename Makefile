@@ -12,7 +12,13 @@ export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 export MKL_NUM_THREADS ?= 1
 
-.PHONY: help demo test test-quick test-fast wire lint types walls shape proof proof-short proof-state matrix fault-matrix gallery fuzz soak bench wheels docs example clean
+# Pytest keeps the test modules that it has rewritten; without them, collecting takes three times as long.
+unexport PYTHONDONTWRITEBYTECODE
+
+OFTEN := journey or not (thorough or wire or matrix or proof)
+CAN_TESTS := tests/can tests/mock/cia402 tests/drivers/cia402 tests/drivers/twincat
+
+.PHONY: help demo test test-all lint types walls shape proof proof-state fault-matrix gallery fuzz soak bench wheels docs example clean
 
 help:
 	@sed -n '/^[a-z-]*:.*##/s/:.*##/ —/p' $(MAKEFILE_LIST)
@@ -39,28 +45,20 @@ demo: $(VENV)/.demo ## record, fit, validate and report two programs on the mock
 	$(BIN)/hil runs --runs $(RUNS)
 	@echo 'look at them, and start runs of your own, in a browser: $(BIN)/hil serve'
 
-test: test-fast wire matrix ## all tests (lint, types and walls are `make lint types walls`)
+test: $(VENV)/.dev ## tests of every package, a journey over each protocol: six minutes on two cores
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "$(OFTEN)"
 
-# Only files that have the marker are named: collecting all of them doubles the time until the start.
-test-quick: $(VENV)/.dev ## some tests of every package, for quick feedback: at most 3 minutes on two idle cores
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m "quick and not matrix and not proof" \
-	  $$(grep -rl --include='test_*.py' 'mark\.quick' tests | sort)
+# Only files that have a marker are collected. Drives at `pace: free` and their driver take both
+# cores, so nothing that minds the clock runs beside the tests of CAN.
+marked = $$(grep -rlE --include='test_*.py' 'mark\.($(1))' $(2) | sort)
 
-test-fast: $(VENV)/.dev
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not wire and not matrix and not proof"
-
-# Drives at `pace: free` and their driver take both cores: nothing that minds the clock beside them.
-CAN_TESTS := tests/can tests/mock/cia402 tests/drivers/cia402 tests/drivers/twincat tests/bench/test_can.py
-
-wire: $(VENV)/.dev
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m "wire and not proof" \
-	  $(CAN_TESTS:%=--ignore=%)
-	$(BIN)/python -m pytest -m "wire and not proof" $(CAN_TESTS)
-
-matrix: $(VENV)/.dev ## fault matrices: everything that may go wrong, at some of the kinds of step
-	$(BIN)/python -m pytest -n 3 -m "matrix and not proof" tests/faults/test_embedded.py
-	$(BIN)/python -m pytest -n 2 -m "matrix and not proof" tests/faults/test_ur.py
-	$(BIN)/python -m pytest -n 2 -m "matrix and not proof" tests/faults/test_can.py
+test-all: test ## and all others: every wire test, each fault at one kind of step, exports, commands of the docs
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "thorough and not (wire or matrix or proof or journey)" \
+	  $(call marked,thorough,tests)
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "wire and not (proof or journey)" \
+	  $(call marked,wire,tests) $(CAN_TESTS:%=--ignore=%)
+	$(BIN)/python -m pytest -m "wire and not (proof or journey)" $(call marked,wire,$(CAN_TESTS))
+	$(BIN)/python -m pytest -n 2 -m "matrix and not (proof or journey)" tests/faults
 
 fault-matrix: $(VENV)/.dev ## the same, and the tables in docs/reference/fault-matrix*.md
 	$(BIN)/python -m tests.faults.table
@@ -87,20 +85,11 @@ walls: $(VENV)/.dev ## import contracts: what may not import what (docs/explanat
 shape: ## packages in order: files, lines, importers per module, import circles (information only)
 	@$(PYTHON) tests/house/shape.py
 
-proof: $(VENV)/.dev ## the long must-show runs
-	$(BIN)/python -m pytest -m "proof and not matrix" --timeout 1800 -s
-	$(BIN)/python -m pytest -n 3 -m "proof and matrix" tests/faults/test_embedded.py
-	$(BIN)/python -m pytest -n 2 -m "proof and matrix" tests/faults/test_ur.py
-	$(BIN)/python -m pytest -n 2 -m "proof and matrix" tests/faults/test_can.py
-	$(BIN)/python -m tests.proofs.proof_inputs --keep
+proof: $(VENV)/.dev ## proofs whose inputs have changed since they passed, or: make proof UNIT="static ur-programs"
+	$(BIN)/python -m tests.proofs $(UNIT)
 
-proof-short: $(VENV)/.dev ## those that take a minute or two and mind no clock
-	$(BIN)/python -m pytest -m "proof and not matrix" --timeout 1800 \
-	  tests/proofs/test_mock.py tests/proofs/test_inverse_dynamics.py
-
-proof-state: ## have the long must-show runs passed with just these inputs?
-	@$(PYTHON) -m tests.proofs.proof_inputs --check \
-	  || echo "note: inputs of the proofs have changed since \`make proof\` last passed"
+proof-state: $(VENV)/.dev ## which proofs are stale
+	@$(BIN)/python -m tests.proofs --list
 
 wheels: $(VENV)/.dev ## the wheel in fresh environments: each set of extras under each Python at hand
 	$(BIN)/python -m tests.proofs.install_matrix

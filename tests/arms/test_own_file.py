@@ -13,8 +13,6 @@ from hil.arms.description import _parsed
 from hil.core.errors import DataError, SpecError
 from tests.support.paths import FILES
 
-pytestmark = pytest.mark.quick
-
 URDF = FILES / "own_arm.urdf"
 
 

@@ -25,6 +25,7 @@ def quick():
     return measure("identify", quick=True)
 
 
+@pytest.mark.thorough
 @pytest.mark.data
 @recorded("ur10e")
 def test_wls_of_one_trajectory_is_the_published_baseline(quick) -> None:

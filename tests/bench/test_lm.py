@@ -35,6 +35,7 @@ def test_a_matrix_that_is_not_definite_is_a_failed_step_of_torchs(monkeypatch) -
     assert damped_step(H - 3.0 * torch.eye(2), g) is None
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="Linux only")
 def test_a_contestant_does_not_inherit_the_memory_of_who_started_it() -> None:
     ballast = np.ones(400 * 2**17)  # 400 MiB

@@ -177,6 +177,7 @@ def test_without_torch_it_says_so(monkeypatch) -> None:
     assert "torch is not installed" in measure("networks")["skipped"]["networks"]
 
 
+@pytest.mark.thorough
 def test_nothing_is_better_than_knowing_all_but_the_noise(quick) -> None:
     figures = quick["figures"]
     errors = {key: value for key, value in figures.items() if key.endswith("_rmse_nm")}

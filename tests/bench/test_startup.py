@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import pytest
+
 from hil.cli.bench import measure
 
 
+@pytest.mark.thorough
 def test_every_start_is_measured_beside_an_empty_python() -> None:
     document = measure("startup", quick=True)
     figures, ratios = document["figures"], document["ratios"]

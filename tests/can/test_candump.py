@@ -11,8 +11,6 @@ from hil.can.candump import CandumpWriter, line_of, logged_in, read_candump
 from hil.can.frames import ERROR, EXTENDED, REMOTE, Frame
 from hil.core.errors import DataError, RecordingError
 
-pytestmark = pytest.mark.quick
-
 FRAMES = [
     Frame(0x80, b"", 1699999999.0),
     Frame(0x181, bytes.fromhex("37060000c80a"), 1699999999.123456),

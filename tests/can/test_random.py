@@ -106,6 +106,7 @@ class Traffic:
                 member.read(10**9)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", SEEDS)
 def test_one_order_for_all_and_nothing_missed(can_channel: str, seed: int) -> None:  # noqa: F811
     with Hub(can_channel) as hub:

@@ -20,8 +20,6 @@ from hil.can.hub import HostedHub, Hub, hub_thread
 from hil.can.unix import UnixBus
 from tests.support.canbus_parts import bus_hub, can_channel, unix_bus  # noqa: F401
 
-pytestmark = pytest.mark.quick
-
 
 @pytest.fixture
 def pair(bus_hub: HostedHub) -> Iterator[tuple[can.BusABC, can.BusABC]]:  # noqa: F811

@@ -68,6 +68,7 @@ def test_errors_are_json_too_when_asked_for(tmp_path: Path) -> None:
     assert json.loads(done.stdout)["error"]["kind"] == "SpecError"
 
 
+@pytest.mark.thorough
 def test_plan_keeps_its_contract(tmp_path: Path) -> None:
     picture = tmp_path / "motion.svg"
     done = hil("plan", DWELL, "--json", "--picture", picture)
@@ -80,6 +81,7 @@ def test_plan_keeps_its_contract(tmp_path: Path) -> None:
     assert picture.read_text("utf-8").startswith("<svg")
 
 
+@pytest.mark.thorough
 def test_a_plan_that_determines_nothing_is_still_shown(tmp_path: Path) -> None:
     spec = tmp_path / "one.yaml"
     motion, _, _ = DWELL.read_text("utf-8").partition("\nfit:")
@@ -93,6 +95,7 @@ def test_a_plan_that_determines_nothing_is_still_shown(tmp_path: Path) -> None:
     assert shown["condition_number"] is None
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("verb", ["validate", "plan", "run"])
 def test_driver_options_are_checked_before_anything_connects(tmp_path: Path, verb: str) -> None:
     station = station_with(tmp_path, "{mounted_payload: {mass_kg: heavy}}")
@@ -111,13 +114,14 @@ def test_a_rate_that_is_not_the_robots_is_refused_before_motion(tmp_path: Path) 
     assert "500 Hz, but the robot runs at 125 Hz" in done.stderr
 
 
+@pytest.mark.thorough
 def test_plan_for_humans_fits_a_narrow_terminal(tmp_path: Path) -> None:
     done = hil("plan", DWELL, "--picture", "p.svg", cwd=tmp_path, COLUMNS="60")
     assert done.returncode == 0, done.stderr
     assert max(map(len, done.stdout.splitlines()[1:])) <= 60
 
 
-@pytest.mark.quick
+@pytest.mark.thorough
 def test_run_keeps_its_contract(done_run: dict[str, Any]) -> None:
     assert set(done_run) == {
         "run", "uid", "outcome", "verdict", "samples", "gaps", "duplicates", "models", "report",
@@ -130,6 +134,7 @@ def test_run_keeps_its_contract(done_run: dict[str, Any]) -> None:
     assert Path(done_run["report"]).is_file()
 
 
+@pytest.mark.thorough
 def test_runs_show_and_report_find_the_run(done_run: dict[str, Any]) -> None:
     run = Path(done_run["run"])
     listed = json.loads(hil("runs", "--runs", run.parents[2], "--json").stdout)
@@ -139,6 +144,7 @@ def test_runs_show_and_report_find_the_run(done_run: dict[str, Any]) -> None:
     assert hil("report", run).stdout.strip().endswith("report.html")
 
 
+@pytest.mark.thorough
 def test_fit_and_evaluate_keep_their_contract(done_run: dict[str, Any], tmp_path: Path) -> None:
     run = done_run["run"]
     fitted = hil("fit", run, "--estimator", "static-wls", "-o", tmp_path, "--json")
@@ -165,6 +171,7 @@ def test_validating_on_the_training_data_is_refused(done_run: dict[str, Any]) ->
     assert "both training and test" in json.loads(done.stdout)["error"]["message"]
 
 
+@pytest.mark.thorough
 def test_evaluating_on_the_training_data_is_refused(
     done_run: dict[str, Any], tmp_path: Path
 ) -> None:
@@ -183,6 +190,7 @@ def test_unknown_estimators_are_guessed() -> None:
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.thorough
 def test_a_rejected_model_exits_10(tmp_path: Path) -> None:
     spec = tmp_path / "strict.yaml"
     text = DWELL.read_text("utf-8").replace("accept:", "accept:\n  nrmse: {max: 0.001}")
@@ -192,6 +200,7 @@ def test_a_rejected_model_exits_10(tmp_path: Path) -> None:
     assert "hil show" in done.stderr.splitlines()[-1]
 
 
+@pytest.mark.thorough
 def test_a_rejected_run_prints_one_document(tmp_path: Path) -> None:
     text = DWELL.read_text("utf-8").replace("accept:", "accept:\n  nrmse: {max: 0.001}")
     spec = tmp_path / "strict.yaml"
@@ -202,6 +211,7 @@ def test_a_rejected_run_prints_one_document(tmp_path: Path) -> None:
     assert "Rejected" in done.stderr
 
 
+@pytest.mark.thorough
 def test_a_tripped_run_exits_5_and_prints_one_document(tmp_path: Path) -> None:
     lock = "interlocks: [{kind: tracking_error, limit_rad: 0.0005}]"
     spec = tmp_path / "tight.yaml"
@@ -211,6 +221,7 @@ def test_a_tripped_run_exits_5_and_prints_one_document(tmp_path: Path) -> None:
     assert json.loads(done.stdout)["outcome"] == "tripped"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("numbers", [[signal.SIGINT, signal.SIGINT], [signal.SIGTERM]])
 def test_signals_stop_the_run_and_keep_its_data(tmp_path: Path, numbers: list[int]) -> None:
     spec = tmp_path / "long.yaml"
@@ -301,6 +312,7 @@ def test_mistakes_of_the_command_line_are_json_too() -> None:
     assert "--jsn" in json.loads(done.stdout)["error"]["message"]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "arguments",
     [
@@ -380,6 +392,7 @@ def test_doctor_asks_the_robots_of_a_station() -> None:
     assert "within hil, nothing to reach" in done.stdout
 
 
+@pytest.mark.thorough
 def test_doctor_and_plugins_answer() -> None:
     assert "python" in hil("doctor").stdout
     listed = json.loads(hil("plugins", "--json").stdout)
@@ -402,6 +415,7 @@ def test_every_mock_arm_is_built_in() -> None:
     assert "any built-in arm" in hil("mock").stdout
 
 
+@pytest.mark.thorough
 def test_a_waiver_needs_a_reason_and_is_recorded(tmp_path: Path) -> None:
     refused = hil("run", DWELL, "--runs", tmp_path, "--waive", "disk")
     assert refused.returncode == 2
@@ -411,6 +425,7 @@ def test_a_waiver_needs_a_reason_and_is_recorded(tmp_path: Path) -> None:
     assert [(w["check"], w["reason"]) for w in start["waivers"]] == [("disk", "a test")]
 
 
+@pytest.mark.thorough
 def test_recordings_are_found_by_the_number_of_their_run(
     done_run: dict[str, Any], tmp_path: Path
 ) -> None:

@@ -70,6 +70,7 @@ def complete(shell: str, folder: Path, *words: str) -> list[str]:
     return done.stdout.split()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("words", "offered"),
     [
@@ -120,7 +121,6 @@ def test_zsh_and_fish_offer_the_same(bench: Path) -> None:
     assert complete("fish", bench, "hil", "show", "00") == ["0001-first", "0012-second"]
 
 
-@pytest.mark.quick
 def test_nothing_is_offered_and_nothing_raised_in_a_folder_of_rubbish(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

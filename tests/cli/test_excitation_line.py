@@ -8,8 +8,6 @@ from hil.cli.progress import ExcitationLine, ProgressLines
 from hil.excitation.program import Advance
 from tests.support.terminal_parts import terminal_on
 
-pytestmark = pytest.mark.quick
-
 BUSY = Advance(3, 12, 2, 3, 17.25, 125.0)
 
 

@@ -37,6 +37,7 @@ def told(*arguments: object) -> str:
     return done.stdout
 
 
+@pytest.mark.thorough
 def test_gains_of_the_mock_are_found(run: Path) -> None:
     document = json.loads(told(run, "--json"))
     truth = np.array([joint.drive.gain_nm_a for joint in draw_truth("ur5", 0).joints])

@@ -106,7 +106,7 @@ def test_commands_without_json_are_known_and_why() -> None:
     assert {verb for verb, one in VERBS.items() if not has_json(one)} == set(WITHOUT_JSON)
 
 
-@pytest.mark.quick
+@pytest.mark.thorough
 @pytest.mark.parametrize("verb", sorted(set(VERBS) - set(WITHOUT_JSON) - {"doctor"}))
 def test_one_document_is_printed_when_nothing_is_there(
     verb: str, empty: Path, monkeypatch: pytest.MonkeyPatch

@@ -8,6 +8,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 import hil as package
 from tests.support.paths import EXPERIMENTS
 
@@ -54,6 +56,7 @@ def test_a_picture_of_another_format_is_refused_before_planning(tmp_path: Path) 
     assert "--picture motion.svg" in done.stderr
 
 
+@pytest.mark.thorough
 def test_an_ordinary_plan_has_no_warnings_and_a_poor_one_says_so(tmp_path: Path) -> None:
     good = json.loads(hil("plan", DWELL, "--json", cwd=tmp_path).stdout)
     assert good["warnings"] == []

@@ -51,6 +51,7 @@ def written(kind: str) -> list[Path]:
     return [Path(file) for file in told(kind, *more)["files"]]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", DRAFT_KINDS)
 def test_everything_is_valid_and_names_a_schema_that_is_there(kind: str) -> None:
     files = [file for file in written(kind) if file.suffix == ".yaml"]
@@ -76,12 +77,14 @@ def test_comments_stay_in_their_column(kind: str) -> None:
             assert max(map(len, file.read_text().splitlines())) <= WIDTH
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", EXPERIMENTS)
 def test_plans_are_made(kind: str) -> None:
     (file, *_) = written(kind)
     assert hil.plan(hil.load(file))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("kind", "fewer"),
     [
@@ -95,6 +98,7 @@ def test_programs_pass_on_the_mock(kind: str, fewer: dict[str, str]) -> None:
     assert (report.outcome, report.verdict) == ("completed", "passed")
 
 
+@pytest.mark.thorough
 def test_an_arm_of_ones_own_runs_as_a_mock() -> None:
     spec, station, arm, *_ = written("own-urdf")
     fewer = {"excitation.trajectories": "4", "warm_up.duration_s": "2"}
@@ -196,6 +200,7 @@ def test_an_arm_that_the_mock_cannot_be_is_not_sent_to_commands_that_refuse_it()
     assert "name another driver in the station" in error.hint
 
 
+@pytest.mark.thorough
 def test_a_schedule_is_lived_through_on_the_mock() -> None:
     schedule, *_ = written("re-identify")
     done = invoke("schedule", "simulate", str(schedule), "1min", "--json")
@@ -233,6 +238,7 @@ def test_a_robot_that_the_station_has_not_is_told() -> None:
 NAMES = ("007", "1e3", "true", "2026-11-22")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", DRAFT_KINDS)
 @pytest.mark.parametrize("name", NAMES)
 def test_names_that_yaml_takes_for_something_else_stay_names(kind: str, name: str) -> None:

@@ -72,6 +72,7 @@ def test_texts_stay_texts_in_the_spec_of_a_run(spec: Path, value: str) -> None:
     assert wanted.record.rate_hz == 100
 
 
+@pytest.mark.thorough
 def test_plan_and_excite_take_them_too(spec: Path) -> None:
     one, two = (
         json.loads(invoke("plan", "spec.yaml", "--json", *more).stdout)["hash"]

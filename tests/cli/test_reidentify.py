@@ -19,7 +19,7 @@ from hil.maintenance.stages import Stage, run_stages
 from tests.support.pipeline_parts import CAMPAIGN, SCHEDULE, write_schedule
 
 
-@pytest.mark.quick
+@pytest.mark.thorough
 def test_it_is_done_once_and_gone_on_with_where_it_was_cut_off(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -249,7 +249,6 @@ def test_a_calendar_without_such_a_day_is_refused(cron: str, mistake: str) -> No
         assert error is None
 
 
-@pytest.mark.quick
 def test_a_trip_is_shown_until_it_is_released(monkeypatch: pytest.MonkeyPatch) -> None:
     write("nightly.yaml", SCHEDULE.format(every="1min") + "notify: [sh, -c, 'cat >> notices']\n")
     done = working(monkeypatch, InterlockTripped("elbow: 31 A"))
@@ -332,6 +331,7 @@ def test_motions_are_those_of_the_plans(monkeypatch: pytest.MonkeyPatch) -> None
     assert seconds[0] > 20
 
 
+@pytest.mark.thorough
 def test_it_stays_until_a_signal_and_ends_in_order() -> None:
     command = [sys.executable, "-m", "hil", "schedule", "run", "nightly.yaml"]
     surroundings = os.environ | {"PYTHONWARNINGS": "error", "PYTHONUNBUFFERED": "1"}

@@ -51,7 +51,6 @@ class Terminal(io.StringIO):
         return True
 
 
-@pytest.mark.quick
 def test_sentences_and_tables_are_printed_and_the_page_is_written(run: Path) -> None:
     done = CliRunner().invoke(app, ["study", str(run)])
     assert done.exit_code == 0, done.output
@@ -108,6 +107,7 @@ def test_ctrl_c_says_how_to_go_on(run: Path) -> None:
     assert (done.exception.by_signal, done.exception.hint) == (True, f"hil study {run}")
 
 
+@pytest.mark.thorough
 def test_figures_are_listed_as_they_were_written(run: Path, tmp_path: Path) -> None:
     CliRunner().invoke(app, ["study", str(run)])
     out = tmp_path / "paper"

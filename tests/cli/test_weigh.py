@@ -71,6 +71,7 @@ def told(*arguments: object) -> str:
     return done.stdout
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("model", ["static", "rigid"])
 def test_the_tool_that_hangs_there_is_weighed_not_the_declared_one(
     weighed: Weighed, model: str

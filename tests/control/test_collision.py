@@ -52,6 +52,7 @@ def thresholds(model, calibration):
     return CollisionThresholds.calibrated(model, calibration, false_alarms=0.25)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", [40, 41, 42])
 def test_motions_without_contact_alarm_nobody(model, seed) -> None:
     data = recorded(5, motion(seed, SHORT_S), noise=seed)
@@ -60,12 +61,14 @@ def test_motions_without_contact_alarm_nobody(model, seed) -> None:
     assert np.abs(residuals).max() > 0.5  # it does look
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", [6, 7])
 def test_other_arms_of_the_type_alarm_nobody_with_a_model_of_theirs(seed) -> None:
     data = recorded(seed, motion(40, SHORT_S), noise=40)
     assert told(CollisionDetector(fitted(seed)), data)[0] == []
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("force", "within_s"),
     [((0.0, 20.0, 0.0), 0.1), ((-40.0, 0.0, 10.0), 0.05), ((0.0, 0.0, -60.0), 0.05)],
@@ -91,6 +94,7 @@ def test_the_residual_is_the_torque_of_the_push(model) -> None:
     assert np.all(np.abs(error) < [3.0, 3.0, 3.0, 1.0, 1.0, 1.0])
 
 
+@pytest.mark.thorough
 def test_an_unknown_load_alarms_and_a_declared_one_does_not(model) -> None:
     data = recorded(5, motion(44, SHORT_S), noise=44, mounted=LOAD)
     unknown, _ = told(CollisionDetector(model), data)
@@ -106,6 +110,7 @@ def test_a_declared_load_that_is_not_there_alarms(model) -> None:
     assert told(CollisionDetector(model, LOAD), data)[0]
 
 
+@pytest.mark.thorough
 def test_calibrated_thresholds_are_lower_and_still_hold(model, thresholds) -> None:
     own = CollisionThresholds.of(model)
     assert thresholds.false_alarms == 0.25
@@ -114,6 +119,7 @@ def test_calibrated_thresholds_are_lower_and_still_hold(model, thresholds) -> No
     assert told(CollisionDetector(model, thresholds=thresholds), data)[0] == []
 
 
+@pytest.mark.thorough
 def test_calibrated_thresholds_are_those_that_their_motions_reach(
     model, calibration, thresholds
 ) -> None:
@@ -168,6 +174,7 @@ def test_a_joint_that_stands_may_hide_its_dry_friction() -> None:
     np.testing.assert_allclose(margin.update(9.0, np.array([0.5, 0.0])), [0.0, 2.0], atol=1e-12)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["rigid-wls", "rigid-hysteresis"])
 def test_dry_friction_is_known_of_models_with_and_without_memory(name) -> None:
     level = resting_friction(fitted(5, name))
@@ -175,6 +182,7 @@ def test_dry_friction_is_known_of_models_with_and_without_memory(name) -> None:
     assert np.all((level > 0.6 * np.array(true)) & (level < 2.2 * np.array(true)))
 
 
+@pytest.mark.thorough
 def test_an_arm_that_rests_between_moves_alarms_nobody(model) -> None:
     """Friction at rest changes unseen by more than thresholds of motion allow."""
     way = blend(MIDDLE, np.add(MIDDLE, [0.6, 0.4, -0.7, 0.5, -0.5, 0.8]), RATE_HZ, 2.0)

@@ -46,6 +46,7 @@ def test_a_push_comes_through_a_first_order_filter(model) -> None:
     np.testing.assert_allclose(found[-1], PUSH, rtol=1e-3)
 
 
+@pytest.mark.thorough
 def test_a_load_is_seen_until_it_is_declared(model) -> None:
     data = moving(9, load=LOAD)
     unknown = residuals(MomentumObserver(model), data)
@@ -78,6 +79,7 @@ def test_parameters_have_the_models_rigid_torques(model) -> None:
     np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
+@pytest.mark.thorough
 def test_a_residual_network_takes_part() -> None:
     """Its rigid body is that of its physics, whatever rate the network was trained at."""
     pytest.importorskip("torch")

@@ -98,6 +98,7 @@ def test_in_steady_state_nothing_is_allocated(model) -> None:
     assert grown < 1024
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("how", [None, False])
 @pytest.mark.parametrize("bad", [np.full(6, np.nan), np.full(6, np.inf), np.full(6, 1e7)])
 def test_what_cannot_be_is_refused_and_not_remembered(bad, how, model) -> None:

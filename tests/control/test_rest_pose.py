@@ -93,6 +93,7 @@ def test_the_same_arguments_give_the_same_poses() -> None:
     assert [pose.q.tolist() for pose in first] == [pose.q.tolist() for pose in second]
 
 
+@pytest.mark.thorough
 def test_a_box_in_the_way_is_kept_clear_of() -> None:
     box = Box((0.0, 0.0, 0.9), (0.4, 0.4, 0.3), "lamp")
     arm = ur5(Environment(table_z=0.0, boxes=(box,)), clearance_m=0.05)
@@ -150,7 +151,6 @@ def test_limits_are_kept() -> None:
     assert best.fail.outcome == "falls"
 
 
-@pytest.mark.quick
 def test_free_joints_stay_where_they_are_wanted() -> None:
     found = least_loaded(pendulum(joints=2), near=np.array([0.1, 1.25]))
     assert all(pose.q[1] == pytest.approx(1.25) for pose in found)

@@ -174,6 +174,7 @@ def test_the_hand_carries_an_arm_whose_drives_are_off(monkeypatch) -> None:
     assert np.isfinite(run.rest_s)
 
 
+@pytest.mark.thorough
 def test_the_model_tracks_better_and_relieves_the_hand(trial) -> None:
     made, *_ = trial
     assert improvement(made) > 3.0
@@ -221,6 +222,7 @@ def test_a_braked_run_without_the_model_does_not_speak_against_it(trial) -> None
     assert any("Without the model, no model, the arm was braked" in t for t in found(other).summary)
 
 
+@pytest.mark.thorough
 def test_the_motions_keep_clear_and_within_limits() -> None:
     asked = trajectory_for(bench(), seed=3)
     robot = model().robot_

@@ -14,8 +14,6 @@ from hil.control.try_out_settings import FRICTION_SHARE
 from hil.core.errors import HilError, RecordingError, Rejected, SpecError
 from tests.support.trial_parts import ELSEWHERE, model_folder, short_trial
 
-pytestmark = pytest.mark.quick
-
 
 @pytest.fixture
 def place():

@@ -111,6 +111,7 @@ def test_trembling_of_the_measured_velocity_does_not_reach_the_drives() -> None:
     assert np.abs(guiding(q, np.full(6, 0.1)) - guiding(q, still)).min() > 0.1
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("filtered", [True, False])
 def test_an_arm_comes_to_rest_behind_the_filter_alone(monkeypatch, filtered) -> None:
     monkeypatch.setattr(try_out, "ALONE_S", 1.5)
@@ -124,6 +125,7 @@ def test_an_arm_comes_to_rest_behind_the_filter_alone(monkeypatch, filtered) -> 
     assert np.isfinite(run.rest_s) == filtered
 
 
+@pytest.mark.thorough
 def test_a_trial_of_a_seed_is_no_experiment_of_that_seed() -> None:
     ours = spec_of("arm", Payload(), 7)
     theirs = ours.model_copy(update={"excitation": ours.excitation.model_copy(update={"seed": 7})})
@@ -152,6 +154,7 @@ def test_joints_that_are_led_less_far_are_named() -> None:
     )
 
 
+@pytest.mark.thorough
 def test_a_hand_needs_at_most_half_of_the_effort(monkeypatch) -> None:
     """In three quarters of the time; as `hil try-out` has it in test_trial_proof.py."""
     monkeypatch.setattr(try_out, "ALONE_S", 0.0)

@@ -56,6 +56,7 @@ def as_yaml(document: Any) -> bytes:
     return text.encode("utf-8", "surrogatepass")
 
 
+@pytest.mark.thorough
 @kinds
 @examples(30)
 @given(data=st.data())

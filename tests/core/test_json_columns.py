@@ -76,6 +76,7 @@ def test_every_column_that_there_may_be_can_be_read() -> None:
         assert np.isfinite(column(term.column, dict.fromkeys(symbols_of(term.column), 0.5)))
 
 
+@pytest.mark.thorough
 def test_memory_stays_where_positions_go_against_the_velocity() -> None:
     """Noise of encoders, which golden vectors do not have, must not wear states away."""
     model, document = fitted("rigid-diffnea memory"), told("rigid-diffnea memory")[0]
@@ -91,6 +92,7 @@ def test_memory_stays_where_positions_go_against_the_velocity() -> None:
     assert torque / torque_per_effort(document) == pytest.approx(theirs, rel=1e-9, abs=1e-9)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_number_that_is_bent_is_noticed(kind: str, monkeypatch) -> None:
     model = fitted_or_skip(kind)

@@ -25,8 +25,6 @@ from hil.studies.result import StudyResult, Table
 from hil.workflow.running import RunReport
 from tests.support.paths import EXPERIMENTS, ROOT
 
-pytestmark = pytest.mark.quick
-
 NASTY = "<script>alert('1')</script>&"
 STYLE_SHEET = (ROOT / "hil" / "report" / "report.css").read_text("utf-8")
 
@@ -120,6 +118,7 @@ def test_what_a_card_says_is_what_was_found() -> None:
     assert "1.23" in read(SHOWN["table"]._repr_html_()).text
 
 
+@pytest.mark.thorough
 def test_experiment_and_plan_with_its_picture() -> None:
     experiment = hil.load(EXPERIMENTS / "ci_fourier_2.yaml")
     assert repr(experiment).startswith("<Experiment ci-fourier-2 on ur5")

@@ -9,8 +9,6 @@ import pytest
 
 from hil.core.parallel import BLAS_VARIABLES, cores, processes
 
-pytestmark = pytest.mark.quick
-
 
 def test_workers_are_spawned_processes_with_one_blas_thread_each(
     monkeypatch: pytest.MonkeyPatch,

@@ -11,8 +11,6 @@ import pytest
 from hil.core import plugins
 from hil.core.errors import PluginError
 
-pytestmark = pytest.mark.quick
-
 DRIVERS = "hil.drivers"
 
 

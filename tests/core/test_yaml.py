@@ -27,8 +27,6 @@ from hil.core.yaml import (
 )
 from tests.support.fuzzing import examples
 
-pytestmark = pytest.mark.quick
-
 
 def lines_of(text: str | bytes) -> list[str]:
     """What is said about a text, whether it could be parsed or not."""

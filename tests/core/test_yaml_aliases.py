@@ -89,6 +89,7 @@ def refused(read: Callable[[Path], object], path: Path) -> None:
         read(path)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("bomb", BOMBS)
 @pytest.mark.parametrize("reader", READERS)
 def test_aliases_are_refused_before_they_are_followed(

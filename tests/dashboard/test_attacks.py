@@ -116,6 +116,7 @@ def test_a_byte_now_and_then_moves_no_deadline(tmp_path: Path) -> None:
     pytest.fail("it is still open")
 
 
+@pytest.mark.thorough
 def test_events_go_on_past_every_limit(tmp_path: Path) -> None:
     head = "GET /events HTTP/1.1\r\nHost: 127.0.0.1:8350\r\n\r\n"
     with listening(settings_in(tmp_path), SHORT) as where, connected(where, head) as page:
@@ -137,7 +138,6 @@ def test_an_answer_that_is_not_read_is_given_up(
         until(lambda: "an answer was not read for 0.2 s" in caplog.text, WITHIN_S)
 
 
-@pytest.mark.quick
 def test_an_answer_that_is_read_slowly_is_not(tmp_path: Path) -> None:
     left, later = [300], []  # bytes that wait, and what is due next
     config = uvicorn.Config(create_app(settings_in(tmp_path)), log_config=None)

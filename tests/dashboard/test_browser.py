@@ -170,6 +170,7 @@ def test_nothing_is_needed_to_read_and_to_stop_but_html(
     context.close()
 
 
+@pytest.mark.journey
 def test_read_only_there_is_nothing_to_press(browser: Any, folder: Path) -> None:
     with serving(folder, "--specs", "specs", "--read-only") as there:
         page = browser.new_page()

@@ -52,6 +52,7 @@ def checked(html: str) -> str:
     return str(digest)
 
 
+@pytest.mark.thorough
 def test_what_was_changed_since_it_was_checked_is_shown_anew_and_not_started(desk: Desk) -> None:
     first = checked(desk.post("check").text)
     text, when = desk.spec.read_text(), desk.spec.stat().st_mtime_ns
@@ -66,6 +67,7 @@ def test_what_was_changed_since_it_was_checked_is_shown_anew_and_not_started(des
     assert desk.post("start", checked=checked(answer.text)).headers["location"] == "/start/1"
 
 
+@pytest.mark.thorough
 def test_what_is_as_it_was_checked_is_started(desk: Desk) -> None:
     digest = checked(desk.post("check", speed="25%").text)
     desk.spec.write_text("# a comment more\n" + desk.spec.read_text())

@@ -92,7 +92,6 @@ def test_a_mock_needs_no_confirmation(desk: Desk) -> None:
     assert desk.started[0]["confirmed"] is None
 
 
-@pytest.mark.quick
 @pytest.mark.usefixtures("real")
 def test_the_form_shows_what_the_console_shows(desk: Desk) -> None:
     told = plain(desk.post("check").text)
@@ -101,6 +100,7 @@ def test_the_form_shows_what_the_console_shows(desk: Desk) -> None:
         assert text in told
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("real")
 @pytest.mark.parametrize("typed", ["", "UR5", "ur5e", "yes"])
 def test_without_the_name_nothing_is_started(desk: Desk, typed: str) -> None:
@@ -136,6 +136,7 @@ def write_series(desk: Desk, *robots: str) -> dict[str, str]:
     return {"spec": "both.yaml"}
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("real")
 def test_of_a_series_the_facts_of_each_experiment_are_confirmed(desk: Desk) -> None:
     series = write_series(desk, "ur5", "ur5")
@@ -156,6 +157,7 @@ def as_facts(document: dict[str, Any]) -> Any:
     return SimpleNamespace(robot=document["robot"], to_dict=lambda: document)
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("real")
 def test_a_series_of_two_robots_is_left_to_the_command_line(desk: Desk) -> None:
     series = write_series(desk, "ur5", "ur5b")
@@ -170,6 +172,7 @@ def test_a_series_of_two_robots_is_left_to_the_command_line(desk: Desk) -> None:
     assert desk.started == []
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("real")
 def test_what_was_never_shown_confirms_nothing(desk: Desk) -> None:
     for fields in (
@@ -183,6 +186,7 @@ def test_what_was_never_shown_confirms_nothing(desk: Desk) -> None:
     assert desk.started == []
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("real")
 def test_facts_that_have_changed_are_shown_and_not_started(desk: Desk) -> None:
     before = desk.shown()
@@ -194,6 +198,7 @@ def test_facts_that_have_changed_are_shown_and_not_started(desk: Desk) -> None:
     assert desk.started == []
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("real")
 def test_a_robot_that_cannot_be_asked_where_it_stands_is_planned_and_not_started(
     desk: Desk, monkeypatch: pytest.MonkeyPatch

@@ -51,6 +51,7 @@ def require_all_is_there(lab: Path) -> None:
     assert CliRunner().invoke(app, ["runs", "--runs", str(lab / "runs")]).exit_code == 0
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("content", WHOLE, ids=lambda text: text[:6] or "empty")
 def test_documents_of_another_kind_break_no_page(lab: Path, content: str) -> None:
     for file in documents(run_in(lab)):
@@ -60,6 +61,7 @@ def test_documents_of_another_kind_break_no_page(lab: Path, content: str) -> Non
         file.write_bytes(kept)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("value", VALUES, ids=lambda value: str(value)[:12])
 def test_values_of_another_kind_break_no_page(lab: Path, value: object) -> None:
     for file in run_in(lab).rglob("*.json"):

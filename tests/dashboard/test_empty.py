@@ -16,8 +16,6 @@ pytest.importorskip("starlette", reason='the dashboard: pip install "hil[web]"')
 from tests.support import docs_commands
 from tests.support.web_parts import dashboard, seen
 
-pytestmark = pytest.mark.quick
-
 WEEKLY = EXPERIMENTS / "reidentify_weekly.yaml"
 
 

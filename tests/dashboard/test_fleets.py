@@ -13,8 +13,6 @@ from hil.recording.run_group import FleetGroup, Member
 from tests.support.catalogue_runs import write_run
 from tests.support.web_parts import SLY, dashboard, plain, seen
 
-pytestmark = pytest.mark.quick
-
 
 @pytest.fixture
 def fleet(tmp_path: Path) -> FleetGroup:

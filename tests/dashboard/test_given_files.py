@@ -18,8 +18,6 @@ from hil.spec.model_tree import tree
 from tests.support.started_parts import written
 from tests.support.web_parts import dashboard
 
-pytestmark = pytest.mark.quick
-
 SECRET = "root:x:0:0:of:one:line,only"
 
 

@@ -251,6 +251,7 @@ def test_so_many_may_listen_and_no_more() -> None:
     asyncio.run(everybody())
 
 
+@pytest.mark.thorough
 def test_as_many_files_may_be_open_as_are_allowed() -> None:
     told = (
         "import resource as r; from hil.dashboard import server\n"

@@ -23,8 +23,6 @@ from hil.robot import Capabilities
 from hil.workflow.live_state import ArmView, LiveState
 from tests.support.interlock_parts import NAMES, made, rows
 
-pytestmark = pytest.mark.quick
-
 ROBOT = Capabilities(joint_names=NAMES, rate_hz=125.0, effort_kind="current")
 PAGE = {"accept": "text/html"}
 PROGRESS: dict[str, Any] = {

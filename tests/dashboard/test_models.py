@@ -17,8 +17,6 @@ from hil.models.model_registry import Registry
 from tests.support.drift_parts import probe
 from tests.support.web_parts import SLY, dashboard, plain, seen
 
-pytestmark = pytest.mark.quick
-
 MOTION = 30
 
 

@@ -62,6 +62,7 @@ def check(folder: Path) -> tuple[int, str]:
     return answer.status_code, unescape(re.sub("<[^>]+>", " ", answer.text))
 
 
+@pytest.mark.thorough
 def test_modules_in_the_working_folder_are_not_imported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

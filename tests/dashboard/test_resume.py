@@ -71,7 +71,6 @@ def starts(monkeypatch: pytest.MonkeyPatch) -> Iterator[Starts]:
     return made
 
 
-@pytest.mark.quick
 def test_it_is_offered_where_hil_resume_would_go_on(run: Path) -> None:
     client = dashboard(run.parents[3])
     html = seen(client, address(run))
@@ -95,7 +94,6 @@ def test_it_is_not_offered_where_it_would_be_refused(run: Path, why: str) -> Non
         assert started_runs(run.parents[2]) == []
 
 
-@pytest.mark.quick
 def test_a_double_click_starts_one_attempt(run: Path, starts: Starts) -> None:
     with ThreadPoolExecutor(2) as both:
         answers = list(both.map(lambda _: asked(run, once="x"), range(2)))

@@ -112,6 +112,7 @@ def test_a_mock_needs_no_confirmation(
     assert starts[0]["confirmed"] is None
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("what", ["address", "payload", "no record"])
 def test_what_is_not_as_confirmed_is_shown_first(
     form: Form, starts: list[dict[str, Any]], at: Callable[[str], None], what: str
@@ -149,6 +150,7 @@ def test_with_the_name_the_facts_of_what_is_left_are_confirmed(
     assert 0 < facts["swept"]["duration_s"] < whole["swept"]["duration_s"]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("typed", ["", "UR5"])
 def test_without_the_name_nothing_goes_on(
     form: Form, starts: list[dict[str, Any]], at: Callable[[str], None], typed: str
@@ -161,6 +163,7 @@ def test_without_the_name_nothing_goes_on(
     assert starts == []
 
 
+@pytest.mark.thorough
 def test_what_was_never_shown_confirms_nothing(
     form: Form, starts: list[dict[str, Any]], at: Callable[[str], None]
 ) -> None:
@@ -170,6 +173,7 @@ def test_what_was_never_shown_confirms_nothing(
     assert starts == []
 
 
+@pytest.mark.thorough
 def test_a_station_that_was_changed_since_is_shown_again(
     form: Form, starts: list[dict[str, Any]], at: Callable[[str], None]
 ) -> None:
@@ -184,6 +188,7 @@ def test_a_station_that_was_changed_since_is_shown_again(
     assert starts == []
 
 
+@pytest.mark.thorough
 def test_a_robot_that_cannot_be_asked_where_it_stands_does_not_go_on(
     form: Form,
     starts: list[dict[str, Any]],

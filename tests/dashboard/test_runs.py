@@ -22,6 +22,7 @@ def lab(measured: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(measured, tmp_path / "lab"))
 
 
+@pytest.mark.thorough
 def test_a_page_says_what_it_was_and_what_came_of_it(measured: Path) -> None:
     run, client = run_in(measured), dashboard(measured)
     html = seen(client, address(run, measured))

@@ -70,6 +70,7 @@ def test_the_page_says_which_folder_is_offered_and_how_to_offer_another(desk: De
     assert "<code>hil serve --specs FOLDER</code>" in text
 
 
+@pytest.mark.thorough
 def test_checking_shows_the_plan_and_moves_nothing(desk: Desk) -> None:
     answer = desk.post(do="check", overrides="excitation.waypoints=8")
     assert answer.status_code == 200
@@ -241,6 +242,7 @@ def rows_of(html: str) -> dict[str, str]:
     return dict(re.findall(r'<th scope="row">([^<]+)</th><td>([^<]+)</td>', html))
 
 
+@pytest.mark.thorough
 def test_the_plan_is_drawn_and_speaks_of_no_command_line(desk: Desk) -> None:
     answer = desk.post(do="check", overrides="excitation.waypoints=8")
     (data,) = re.findall(r'<img [^>]*src="data:image/svg\+xml;base64,([^"]+)"', answer.text)
@@ -252,6 +254,7 @@ def test_the_plan_is_drawn_and_speaks_of_no_command_line(desk: Desk) -> None:
     assert "hil run" not in answer.text
 
 
+@pytest.mark.thorough
 def test_a_first_time_is_planned_slower_and_shorter(desk: Desk) -> None:
     whole = rows_of(desk.post(do="check").text)
     answer = desk.post(do="check", speed="25%", first="4")

@@ -5,8 +5,6 @@ from hil.data import Conditions, rows_of
 from hil.data.dwells import RestRule, dwells_of, find_dwells, series_means
 from tests.support.synthetic_motion import dataset, dwelling
 
-pytestmark = pytest.mark.quick
-
 RATE = 125.0
 
 

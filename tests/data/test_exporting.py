@@ -24,8 +24,6 @@ from hil.importers.sources import load_source
 from hil.planning.plan import LoadStep
 from tests.support.report_runs import dwell_plan, fourier_plan, robot_facts, rows_of_plan, write_run
 
-pytestmark = pytest.mark.quick
-
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:

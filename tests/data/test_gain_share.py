@@ -11,8 +11,6 @@ from hil.estimators.rigid_linear import RigidWls
 from hil.evaluation.payload import usual_gain_share
 from tests.support.synthetic_motion import arriving, moving, nominal
 
-pytestmark = pytest.mark.quick
-
 
 def fitted(source: str, kind: str = "current") -> RobotEstimator:
     model = RigidWls().fit(moving(1, 2, kind=kind), nominal())

@@ -14,8 +14,6 @@ from hil.recording import Attachment, McapWriter, RunDirectory
 from hil.robot import Status
 from hil.robot.state import STATE_TOPIC, state_topic
 
-pytestmark = pytest.mark.quick
-
 NAMES = [f"joint_{i}" for i in range(1, 7)]
 RATE = 125.0
 ROBOT = {

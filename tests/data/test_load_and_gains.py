@@ -58,6 +58,7 @@ def test_gains_of_several_days_come_with_a_note_about_the_joint_that_differs(rec
     assert [note.partition(":")[0] for note in found.notes] == ["wrist_2_joint"]
 
 
+@pytest.mark.thorough
 def test_the_load_is_found_by_gains_that_do_not_know_it(recording) -> None:
     train = Dataset.concatenate([recording(name) for name in TRAIN])
     gained = replace(train, drive_gains=controller_gains(train).gain)
@@ -70,6 +71,7 @@ def test_the_load_is_found_by_gains_that_do_not_know_it(recording) -> None:
         assert np.mean(half.rmse_ignored) > 0.65
 
 
+@pytest.mark.thorough
 def test_published_gains_make_it_too_heavy_and_no_residual_shows_it(recording) -> None:
     model = RigidWls().fit(recording("19_14harm50sec"), load_model("ur10e"))
     one, two = payload_halves(model, recording("19_14harm50secLoad"), friction="model")
@@ -78,6 +80,7 @@ def test_published_gains_make_it_too_heavy_and_no_residual_shows_it(recording) -
     assert two.estimate.payload.mass == pytest.approx(3.07, rel=0.01)
 
 
+@pytest.mark.thorough
 def test_friction_with_memory_brings_the_loaded_arm_near_its_noise(recording) -> None:
     train = Dataset.concatenate([recording(name) for name in TRAIN])
     gained = replace(train, drive_gains=controller_gains(train).gain)

@@ -9,8 +9,6 @@ from hil.data.fingerprints import SKETCH_ROWS, Sketch, revisited
 from hil.data.splits import assert_disjoint, groups, kfold, paper_sample_split, split
 from tests.support.synthetic_motion import dataset, dwelling, moving
 
-pytestmark = pytest.mark.quick
-
 
 def of_conditions(conditions):
     """Two rows per series, all rows different."""

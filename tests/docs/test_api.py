@@ -77,6 +77,7 @@ def test_a_verb_without_a_function_is_named_on_top() -> None:
     assert set(BY_FUNCTION.values()) <= set(hil.__all__)
 
 
+@pytest.mark.thorough
 def test_the_script_runs_as_it_stands_there(tmp_path: Path) -> None:
     (tmp_path / "experiments").symlink_to(EXPERIMENTS)
     done = subprocess.run(

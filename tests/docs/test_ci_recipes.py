@@ -49,6 +49,7 @@ def ended(script: str, folder: Path) -> int:
     return done.returncode
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("script", [GITHUB, GITLAB], ids=["github", "gitlab"])
 @pytest.mark.parametrize(
     ("name", "text", "code"),

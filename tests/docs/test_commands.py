@@ -64,6 +64,7 @@ def pages_with(kind: str) -> list[str]:
     return sorted({block.page for block in BLOCKS if block.runs == kind})
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("block", "line"), COMMANDS, ids=[f"{b.page}:{b.line}:{n[:40]}" for b, n in COMMANDS]
 )
@@ -124,6 +125,7 @@ def test_a_page_sees_nothing_of_the_developer_and_leaves_nothing_with_him(
     assert not (root / "experiments" / "made").exists()
 
 
+@pytest.mark.thorough
 @pytest.mark.timeout(400)
 @pytest.mark.parametrize("page", pages_with("run"))
 def test_the_page_runs(page: str, tmp_path: Path) -> None:

@@ -32,6 +32,7 @@ def test_the_pages_show_a_spec() -> None:
     assert {name.partition(":")[0] for name, _ in specs()} == set(PAGES)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("name", "text"), specs(), ids=[name for name, _ in specs()])
 def test_a_spec_shown_to_newcomers_passes(name: str, text: str, tmp_path: Path) -> None:
     spec = tmp_path / "spec.yaml"

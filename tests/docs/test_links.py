@@ -9,8 +9,6 @@ import pytest
 
 from tests.support.paths import DOCS, ROOT
 
-pytestmark = pytest.mark.quick
-
 PAGES = sorted([ROOT / "README.md", *(DOCS).rglob("*.md")])
 LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
 SHIPPED = ("hil", "drivers", "mock_robot", "docs", "experiments", "benchmarks")

@@ -21,8 +21,6 @@ from hil.doctor.examination import station_robots
 from hil.doctor.finding import Finding
 from hil_drivers.ur import controller as ur_controller
 
-pytestmark = pytest.mark.quick
-
 
 def level_of(findings: Iterator[Finding]) -> str:
     return max((one.level for one in findings), key=["ok", "note", "bad"].index)

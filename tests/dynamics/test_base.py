@@ -7,8 +7,6 @@ from hil.core.errors import FitError
 from hil.dynamics import BaseParameters, RobotModel, base_parameters, conditioning
 from tests.support.dynamics_arms import UR_ARMS, motion
 
-pytestmark = pytest.mark.quick
-
 
 @pytest.mark.parametrize("name", UR_ARMS)
 def test_ur_arms_have_36_base_parameters_and_40_with_rotor_inertias(name):

@@ -11,8 +11,6 @@ from hil.core.errors import DataError, SpecError
 from hil.dynamics import RobotModel, load_model, payload_parameters
 from tests.support.dynamics_arms import UR_ARMS, dh_chain, mjcf, motion, mujoco_torques
 
-pytestmark = pytest.mark.quick
-
 ROTORS = (0.75, 0.74, 0.62, 0.11, 0.12, 0.13)
 LOAD = Payload(2.8, (0.03, -0.15, 0.06), (0.011, 0.014, 0.009, 0.001, -0.002, 0.0005))
 

@@ -7,8 +7,6 @@ from hil.arms.payload import Payload
 from hil.dynamics import RobotModel, base_parameters
 from tests.support.dynamics_arms import motion
 
-pytestmark = pytest.mark.quick
-
 LOAD = Payload(3.0, (0.02, -0.05, 0.08), (0.01, 0.012, 0.008, 0.001, 0.0, -0.002))
 STEP = 1e-6
 SLIDING = """<robot name="gantry">

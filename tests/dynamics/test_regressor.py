@@ -10,8 +10,6 @@ from hil.core.errors import DataError
 from hil.dynamics import RobotModel, base_parameters
 from tests.support.dynamics_arms import motion
 
-pytestmark = pytest.mark.quick
-
 SAMPLES = 203
 
 URDF = """<robot name="odd"><link name="base"/>

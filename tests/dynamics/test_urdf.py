@@ -8,8 +8,6 @@ from hil.core.errors import SpecError
 from hil.dynamics import RobotModel, load_model
 from tests.support.dynamics_arms import motion, urdf, written
 
-pytestmark = pytest.mark.quick
-
 LOAD = Payload(2.0, (0.01, 0.02, 0.05), (0.01, 0.012, 0.009, 0.0, 0.0, 0.0))
 
 FINGER = (

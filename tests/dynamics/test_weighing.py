@@ -57,6 +57,7 @@ def test_a_shifted_centre_is_a_moment_and_no_mass() -> None:
     assert found.moment_deviation < 0.02
 
 
+@pytest.mark.thorough
 def test_errors_are_as_large_as_stated() -> None:
     """1000 weighings of the right load; χ² quantiles bound what may come of it."""
     rng = np.random.default_rng(11)

@@ -26,8 +26,6 @@ from hil.robot import Status
 from tests.support.engine_parts import ListSink, engine
 from tests.support.kinematic_robot import KinematicRobot
 
-pytestmark = pytest.mark.quick
-
 
 def test_a_dwell_waits_until_ten_samples_are_at_rest() -> None:
     def restless(block: StructArray) -> None:

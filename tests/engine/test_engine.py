@@ -21,8 +21,6 @@ from hil.spec.interlocks import SpeedInterlock, TemperatureInterlock, TrackingEr
 from tests.support.engine_parts import ListSink, engine, small_plan
 from tests.support.kinematic_robot import KinematicRobot
 
-pytestmark = pytest.mark.quick
-
 
 def test_the_test_robot_is_a_robot() -> None:
     robot = KinematicRobot()

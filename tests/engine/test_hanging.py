@@ -42,6 +42,7 @@ class WallRobot(KinematicRobot):
         super().prepare(segment)  # type: ignore[arg-type]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("call", ["read", "prepare"])
 def test_a_call_that_never_returns_ends_the_run_and_commands_nothing_later(
     monkeypatch: pytest.MonkeyPatch, call: str

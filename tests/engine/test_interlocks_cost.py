@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import pytest
+
 from hil.cli.bench import measure
 
 
+@pytest.mark.thorough
 def test_the_default_set_is_far_cheaper_than_computing_every_sample() -> None:
     measured = measure("interlocks", quick=True)
     assert measured["figures"]["computed_percent"] < 15

@@ -59,6 +59,7 @@ def random_positions(count: int, seed: int = 0) -> FloatArray:
     return np.random.default_rng(seed).uniform(arm.excite_min, arm.excite_max, (count, 6))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("length", [1, 7, 400])
 @pytest.mark.parametrize("step_rad", [0.001, 0.02])
 @pytest.mark.parametrize("measured", ["clearance", "workspace"])

@@ -12,8 +12,6 @@ from hil.core.errors import InterlockTripped, PlanError
 from hil.engine.interlocks import InterlockContext, interlocks_from_spec
 from tests.support.interlock_parts import NAMES, made, rows, spec_of, with_value
 
-pytestmark = pytest.mark.quick
-
 CURRENT = InterlockContext(joint_names=NAMES, effort_kind="current")
 GEARED = InterlockContext(
     joint_names=NAMES,

@@ -70,6 +70,7 @@ class WallRobot(KinematicRobot):
         return Capabilities(own.joint_names, own.rate_hz, own.effort_kind, clock="wall")
 
 
+@pytest.mark.thorough
 def test_an_interlock_that_hangs_is_named_and_not_the_driver(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

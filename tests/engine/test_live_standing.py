@@ -9,8 +9,6 @@ import pytest
 
 from hil.engine.standing import DEBUG, ERROR, INFO, WARNING, Standing, message_of
 
-pytestmark = pytest.mark.quick
-
 
 def standing(*events: dict[str, Any]) -> Standing:
     out = Standing()

@@ -35,8 +35,6 @@ from tests.support.kinematic_robot import KinematicRobot
 from tests.support.paths import ROOT
 from tests.support.plan_parts import JointSpace, always_clear, ur5
 
-pytestmark = pytest.mark.quick
-
 NAMES = tuple(f"j{i + 1}" for i in range(6))
 NOW = 1.9e9
 FACTS = ("rate_hz", "joint_names", "clock", "effort_kind")

@@ -59,6 +59,7 @@ def true_break_away(truth):
     )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", [2, 5])
 def test_the_break_away_of_a_fitted_model_is_that_of_the_mock(seed):
     truth = draw_truth("ur5", seed)
@@ -71,6 +72,7 @@ def test_the_break_away_of_a_fitted_model_is_that_of_the_mock(seed):
     assert np.all(COUNTED * share < lasting)
 
 
+@pytest.mark.thorough
 def test_rest_poses_of_a_model_with_memory_know_what_its_joints_hold(tmp_path, monkeypatch):
     monkeypatch.setattr("hil.control.rest_pose.STARTS", 4)
     monkeypatch.delenv("HIL_STATION", raising=False)

@@ -18,8 +18,6 @@ from hil.importers import import_recording
 from hil.importers.sources import load_source
 from tests.support.synthetic_motion import COULOMB, GAINS, VISCOUS, fourier, moving, nominal
 
-pytestmark = pytest.mark.quick
-
 BELIEVED = 1.1 * GAINS
 
 

@@ -234,6 +234,7 @@ def remembering() -> tuple[RigidDiffnea, Dataset]:
     return RigidDiffnea(friction="memory").fit(data, nominal()), data
 
 
+@pytest.mark.thorough
 def test_friction_memory_is_carried_from_sample_to_sample() -> None:
     found, data = remembering()
     first = data.take([0])

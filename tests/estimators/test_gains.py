@@ -12,8 +12,6 @@ from hil.estimators.drive_gains import Gains, calibrate_gains
 from tests.estimators.test_static_inverse import K2, bent
 from tests.support.synthetic_motion import GAINS, dwelling, nominal, plant
 
-pytestmark = pytest.mark.quick
-
 BESIDE = Payload(3.0, (0.05, 0.0, 0.05))
 ON_AXIS = Payload(3.0, (0.0, 0.0, 0.05))
 

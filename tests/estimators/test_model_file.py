@@ -12,8 +12,6 @@ from hil.estimators.rigid_linear import RigidWls
 from hil.estimators.static_model import StaticWls
 from tests.support.synthetic_motion import LOAD, dwelling, moving, nominal
 
-pytestmark = pytest.mark.quick
-
 
 @pytest.fixture(scope="module")
 def rigid():

@@ -41,6 +41,7 @@ def kinds(seed: int, wrong: int, mistake: Callable[[Payload], Payload]) -> list[
     return [[finding.kind for finding in one.findings] for one in checked]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", SEEDS)
 def test_correct_declarations_agree(seed: int) -> None:
     checked = check_declarations(OFF_AXIS, estimates(seed))

@@ -69,6 +69,7 @@ def added(model: RobotEstimator, data: Dataset) -> FloatArray:
     return (with_load - bare.inverse_dynamics(*motion(model, data))) / model.torque_scale_
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", NAMES)
 def test_a_declared_load_adds_its_rigid_torque_to_a_prediction(name: str) -> None:
     model = fitted(name)

@@ -17,8 +17,6 @@ from hil.estimators.rigid_linear import RigidWls
 from hil.estimators.static_model import StaticWls
 from tests.support.synthetic_motion import GAINS, LOAD, dwelling, moving, nominal, plant
 
-pytestmark = pytest.mark.quick
-
 FRICTION_NM = 4.0
 ON_AXIS = replace(LOAD, com=(0.0, 0.0, 0.06))
 

@@ -8,8 +8,6 @@ from sklearn.linear_model import Ridge as SkRidge
 from hil.core.errors import FitError
 from hil.estimators.least_squares import ALPHAS, left_out_ridge, ridge, rough, total_least_squares
 
-pytestmark = pytest.mark.quick
-
 
 def problem(seed=0, N=120):
     random = np.random.default_rng(seed)

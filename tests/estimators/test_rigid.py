@@ -28,8 +28,6 @@ from tests.support.synthetic_motion import (
     true_torque,
 )
 
-pytestmark = pytest.mark.quick
-
 TRAIN = (1, 2, 3)
 NOISE_A = 0.05
 

@@ -57,6 +57,7 @@ def truth():
     return np.concatenate([base, np.stack([COULOMB, VISCOUS, OFFSET], axis=1).ravel()])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("key", range(len(EVERY)), ids=IDS)
 def test_a_new_trajectory_is_predicted_far_below_the_noise(fitted, key) -> None:
     test = moving(9)

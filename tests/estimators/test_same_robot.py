@@ -19,8 +19,6 @@ from hil.evaluation.validation import under_load
 from tests.support.load_parts import OFF_AXIS, recorded
 from tests.support.synthetic_motion import moving, nominal, raw
 
-pytestmark = pytest.mark.quick
-
 ARM = """<robot name="arm">
 <link name="base"/><link name="upper"/><link name="lower"/>
 <joint name="a" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 0 1"/>

@@ -186,6 +186,7 @@ def test_equal_fits_share_a_folder_and_different_ones_do_not(sources, tmp_path) 
     assert len(list(tmp_path.iterdir())) == 2
 
 
+@pytest.mark.thorough
 def test_declared_payload_overrides_what_the_recordings_say(sources, tmp_path) -> None:
     loaded = [recording(tmp_path, seed, load=LOAD) for seed in (11, 12)]
 
@@ -252,6 +253,7 @@ def test_payload_that_cannot_be_is_refused(text) -> None:
         parse_payload(text)
 
 
+@pytest.mark.thorough
 def test_a_validation_with_another_load_is_judged_three_ways_and_its_load_checked(
     sources, tmp_path
 ) -> None:

@@ -19,8 +19,6 @@ from tests.support.synthetic_motion import (
     plant,
 )
 
-pytestmark = pytest.mark.quick
-
 POSES = np.random.default_rng(9).uniform(-2.5, 2.5, (200, 6))
 
 

@@ -64,6 +64,7 @@ def mean_coverage(draw: Draw, calibrated: int, rounds: int, *, strict: bool) -> 
     return float(np.mean(shares)), float(np.std(shares) / np.sqrt(rounds))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("strict", [False, True])
 @pytest.mark.parametrize("draw", [alike, of_different_sizes, constant])
 def test_bands_hold_at_least_the_share_asked_for_on_average(draw: Draw, strict: bool) -> None:

@@ -12,8 +12,6 @@ from hil.data import Dataset, Prediction
 from hil.evaluation import Criterion, evaluate, judge
 from tests.support.synthetic_motion import dwelling, moving, raw
 
-pytestmark = pytest.mark.quick
-
 
 @dataclass
 class Oracle:

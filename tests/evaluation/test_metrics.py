@@ -3,8 +3,6 @@ import pytest
 
 from hil.data.metrics import correlation, mep, nrmse, rmse
 
-pytestmark = pytest.mark.quick
-
 MEASURED = np.array([[1.0, 0.0], [-1.0, 0.0], [3.0, 0.0], [-3.0, 0.0]])
 PREDICTED = np.array([[1.0, 0.0], [-2.0, 0.0], [3.0, 0.0], [-1.0, 0.0]])
 

@@ -47,6 +47,7 @@ def means(of: UnderLoad) -> dict[str, float]:
     return {told: float(np.mean(error)) for told, error in of.rmse.items()}
 
 
+@pytest.mark.thorough
 def test_told_of_the_load_a_model_errs_far_less() -> None:
     mean = means(found())
     assert set(mean) == {"unaware", "declared", "identified"}
@@ -58,6 +59,7 @@ def test_told_as_declared_it_errs_as_the_validation_says() -> None:
     assert found().rmse["declared"] == pytest.approx(errors)
 
 
+@pytest.mark.thorough
 def test_a_correct_declaration_agrees_and_a_turned_tool_is_named() -> None:
     assert found().check is not None
     assert found().check.agrees
@@ -67,6 +69,7 @@ def test_a_correct_declaration_agrees_and_a_turned_tool_is_named() -> None:
     assert means(wrong)["identified"] == pytest.approx(means(found())["identified"], rel=1e-3)
 
 
+@pytest.mark.thorough
 def test_no_half_is_judged_with_what_it_told_itself(monkeypatch: pytest.MonkeyPatch) -> None:
     from hil.evaluation import validation
 
@@ -95,6 +98,7 @@ def test_there_is_nothing_to_judge_where_the_load_is_known_several_or_at_rest() 
     assert under_load(model(), replace(loaded(), conditions=still), BARE) is None
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("known", [BARE, None])
 def test_a_load_that_nobody_declared_is_found(
     known: list[Payload] | None, capsys: pytest.CaptureFixture[str]
@@ -108,6 +112,7 @@ def test_a_load_that_nobody_declared_is_found(
     assert "kg heavier than declared" in text
 
 
+@pytest.mark.thorough
 def test_a_wrong_declaration_is_found_although_the_model_was_fitted_with_it() -> None:
     result = under_load(model(), loaded(TURNED), [TURNED])
     assert result is not None
@@ -115,6 +120,7 @@ def test_a_wrong_declaration_is_found_although_the_model_was_fitted_with_it() ->
     assert "turned by" in result.to_dict()["contradictions"][0]
 
 
+@pytest.mark.thorough
 def test_what_gains_may_explain_is_neither_contradicted_nor_confirmed(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

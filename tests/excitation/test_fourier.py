@@ -18,8 +18,6 @@ from hil.excitation.workspace import Workspace, roomy_poses
 from hil.spec.experiment import Fourier
 from tests.support.plan_parts import DEGREE, toy_workspace
 
-pytestmark = pytest.mark.quick
-
 RATE = 100.0
 CLEAR = toy_workspace()
 CLEAR_ROADMAP = Roadmap(CLEAR, roomy_poses(CLEAR, 16, seed=0))

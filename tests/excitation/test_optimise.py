@@ -174,6 +174,7 @@ def test_limits_that_exclude_each_other_are_refused_by_name() -> None:
         )
 
 
+@pytest.mark.thorough
 def test_a_torque_that_cannot_hold_the_arm_is_a_plan_error_that_names_the_joint() -> None:
     upright = {"q_min": [-3, -0.3, -0.3, -3, -3, -3], "q_max": [3, 0.3, 0.3, 3, 3, 3]}
     given = problem(**upright, effort_max=[100.0, 5.0, 100.0, 28.0, 28.0, 28.0])
@@ -181,6 +182,7 @@ def test_a_torque_that_cannot_hold_the_arm_is_a_plan_error_that_names_the_joint(
         optimise(given, starts=1, seed=0, iterations=5)
 
 
+@pytest.mark.thorough
 def test_a_wall_nothing_can_keep_clear_of_is_a_plan_error_that_names_the_bodies() -> None:
     behind = Plane(point=(1.5, 0.0, 0.0), normal=(1.0, 0.0, 0.0))
     collision = CollisionModel(ROBOT.arm, Environment(walls=(behind,)))

@@ -34,6 +34,7 @@ def series_of(plan: Plan) -> list[FourierSeries]:
     return [motion for motion in plan.motions if isinstance(motion, FourierSeries)]
 
 
+@pytest.mark.thorough
 def test_limits_and_clearance_hold_on_a_grid_ten_times_denser(plan: Plan) -> None:
     spec = ExperimentSpec.model_validate(
         {

@@ -78,6 +78,7 @@ def test_jerk_is_the_derivative_of_the_acceleration() -> None:
     np.testing.assert_allclose(steps, middle, rtol=1e-5, atol=1e-5)
 
 
+@pytest.mark.thorough
 def test_condition_numbers_are_those_of_pinocchios_regressor(report: ExcitationReport) -> None:
     model = model_from_arm(load_arm("ur5"))
     data, rows = model.createData(), []
@@ -128,7 +129,6 @@ def both(report: ExcitationReport) -> tuple[Any, Any]:
     return report.appraisal, report.random
 
 
-@pytest.mark.quick
 def test_the_table_says_where_they_come_from_and_fits_a_narrow_terminal(
     optimised: Path, report: ExcitationReport, tmp_path: Path
 ) -> None:
@@ -165,7 +165,6 @@ def test_the_page_shows_every_trajectory_under_its_limits(report: ExcitationRepo
             assert "limit" in [curve.name for curve in panel.curves]
 
 
-@pytest.mark.quick
 def test_the_page_says_when_a_limit_is_exceeded(report: ExcitationReport) -> None:
     limits = report.appraisal.limits._replace(velocity=0.5 * report.appraisal.limits.velocity)
     page = excitation_page(replace(report, appraisal=replace(report.appraisal, limits=limits)))

@@ -43,6 +43,7 @@ def models():
     return fitted
 
 
+@pytest.mark.thorough
 @needs_compiler
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_program_says_what_the_model_says(kind, models, tmp_path) -> None:
@@ -51,6 +52,7 @@ def test_a_program_says_what_the_model_says(kind, models, tmp_path) -> None:
     assert sorted(p.name for p in told.out.iterdir()) == sorted(told.files)
 
 
+@pytest.mark.thorough
 @needs_compiler
 @pytest.mark.parametrize("name", ["gcc", "clang"])
 def test_it_compiles_without_warnings_wherever_it_is_asked(name, models, tmp_path) -> None:
@@ -63,6 +65,7 @@ def test_it_compiles_without_warnings_wherever_it_is_asked(name, models, tmp_pat
         assert "largest difference" in run_self_test(told.out, told.out / "t")
 
 
+@pytest.mark.thorough
 @needs_compiler
 def test_it_does_nothing_undefined(models, tmp_path) -> None:
     told = export_c(models("rigid-hysteresis everything"), tmp_path / "out")
@@ -74,7 +77,6 @@ def test_it_does_nothing_undefined(models, tmp_path) -> None:
     assert "largest difference" in run_self_test(told.out, program)
 
 
-@pytest.mark.quick
 @needs_compiler
 def test_the_self_test_fails_for_another_model(models, tmp_path) -> None:
     told = export_c(models("rigid-wls"), tmp_path / "out")
@@ -105,7 +107,6 @@ def test_numbers_come_back_to_the_same_bits() -> None:
         literal(1e300, "float")
 
 
-@pytest.mark.quick
 def test_symbols_carry_the_prefix(models) -> None:
     source = c_source(program_of(models("rigid-wls")), "left_arm")
     for text in (source.header, source.source):

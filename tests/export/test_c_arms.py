@@ -20,6 +20,7 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("arms")
 
 
+@pytest.mark.thorough
 @needs_compiler
 @pytest.mark.parametrize("arm", ARMS)
 def test_a_program_says_what_the_model_says(arm, folder, tmp_path) -> None:
@@ -27,6 +28,7 @@ def test_a_program_says_what_the_model_says(arm, folder, tmp_path) -> None:
     assert float(told.checked.split()[3]) < 1e-12
 
 
+@pytest.mark.thorough
 @needs_compiler
 @pytest.mark.parametrize("arm", ARMS)
 @pytest.mark.parametrize("load", [None, LOAD])

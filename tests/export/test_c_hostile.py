@@ -29,12 +29,14 @@ def folders(tmp_path_factory):
     return folder
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", COMPILERS)
 def test_the_self_test_does_nothing_undefined(name, kind, folders, tmp_path) -> None:
     assert "largest difference" in compiled(name, folders(kind), tmp_path, *SANITIZED)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", COMPILERS)
 def test_odd_numbers_make_it_do_nothing_undefined(name, kind, folders, tmp_path) -> None:

@@ -56,6 +56,7 @@ int main(void)
 MIXED = ("stribeck", "dissipative", "unconstrained", "tanh", "silu double")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("case", CASES)
 def test_a_program_says_what_the_network_says(case, tmp_path) -> None:
     told = export_c(lagrangian(case), tmp_path / "out")
@@ -78,6 +79,7 @@ def test_it_compiles_without_warnings_wherever_it_is_asked(name, tmp_path) -> No
         subprocess.run(command, cwd=tmp_path, check=True)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("case", ["stribeck dahl", "dissipative", "tanh"])
 def test_nothing_undefined_happens_however_far_a_motion_goes(case, tmp_path) -> None:
     """Single precision reaches to 3e38: squares of a million do not leave it."""
@@ -115,6 +117,7 @@ def test_a_compiled_predictor_is_the_stream() -> None:
         assert fast.step(*one) == pytest.approx(slow.step(*one), abs=1e-10)
 
 
+@pytest.mark.thorough
 def test_a_residual_network_may_stand_on_one(tmp_path) -> None:
     base = {"estimator": "lagrangian", "network": {"hidden": [12]}, "training": QUICK}
     data = moving(1, 2, 3, 4, noise_a=0.02)

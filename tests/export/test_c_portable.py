@@ -49,6 +49,7 @@ def refused(source, folder, *command):
     return done.stderr if done.returncode else ""
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", [*KINDS, *FOLDERS])
 def test_every_kind_is_cpp_as_well(kind, tmp_path) -> None:
     if shutil.which("g++") is None:
@@ -57,7 +58,6 @@ def test_every_kind_is_cpp_as_well(kind, tmp_path) -> None:
     assert refused(source_of(kind), tmp_path, "g++", *strict) == ""
 
 
-@pytest.mark.quick
 @pytest.mark.parametrize("kind", MATH_H)
 def test_docs_name_the_functions_of_math_h_that_it_calls(kind) -> None:
     words = "(?:sin|cos|tan|tanh|exp|log|log1p|sqrt|pow|floor|copysign|fabs)f?"

@@ -47,6 +47,7 @@ def folders(tmp_path_factory):
     return folder
 
 
+@pytest.mark.thorough
 @needs_compiler
 @pytest.mark.parametrize("mutant", MUTANTS)
 def test_it_fails_where_something_is_wrong(mutant, folders, tmp_path) -> None:

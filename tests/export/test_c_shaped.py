@@ -31,6 +31,7 @@ def models():
     return fitted
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("friction", FORMS)
 def test_a_program_says_what_the_model_says(friction, models, tmp_path) -> None:
     told = export_c(models(friction), tmp_path / "out")

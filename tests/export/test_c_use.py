@@ -48,6 +48,7 @@ def programs(tmp_path_factory):
     return program
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", KINDS)
 def test_an_export_says_how_much_stack_and_state_it_takes(kind, programs) -> None:
     found = re.match(
@@ -59,6 +60,7 @@ def test_an_export_says_how_much_stack_and_state_it_takes(kind, programs) -> Non
     assert state > 6 * 8
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("flags", ["-O0", "-O2", "-O3 -march=native"])
 @pytest.mark.parametrize("name", COMPILERS)
 def test_no_call_takes_more_stack_than_is_said(

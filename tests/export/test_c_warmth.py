@@ -63,6 +63,7 @@ def test_what_predict_adds_for_recorded_temperatures_the_program_adds(model) -> 
     assert np.median(np.abs(says - adds)) < 1e-3 * np.abs(adds).max()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 2e6])
 def test_what_is_no_temperature_is_refused_and_changes_nothing(bad, model) -> None:
     program, twin = CompiledProgram(model), CompiledProgram(model)

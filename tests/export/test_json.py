@@ -72,6 +72,7 @@ def test_every_estimator_of_hil_is_among_those_that_are_looked_at() -> None:
     assert {kind.split()[0] for kind in KINDS} == ours
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_document_tells_every_parameter_with_unit_and_certainty_or_why_not(kind: str) -> None:
     document, model = told(kind), fitted(kind)
@@ -90,7 +91,7 @@ def test_a_document_tells_every_parameter_with_unit_and_certainty_or_why_not(kin
         assert set(physics.parameter_names_) <= named.keys()
 
 
-@pytest.mark.quick
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_key_of_a_document_is_on_the_page(kind: str) -> None:
     missing = {key for key in keys_of(told(kind)) if f"`{key}`" not in PAGE}
@@ -103,7 +104,6 @@ def test_intervals_are_those_of_the_model() -> None:
     assert np.array_equal(found, model.interval(0.95))
 
 
-@pytest.mark.quick
 @pytest.mark.parametrize(
     ("kind", "names", "reason"),
     [
@@ -122,6 +122,7 @@ def test_no_uncertainty_is_made_up(kind: str, names: list[str], reason: str) -> 
         assert reason in one["reason"]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("kind", "where"),
     [

@@ -46,6 +46,7 @@ def written(tmp_path_factory):
     return of
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", LARGEST)
 def test_onnxruntime_says_what_the_model_says(kind, written) -> None:
     told = written(kind)
@@ -85,6 +86,7 @@ def test_the_file_says_how_to_call_it_and_not_where_it_was_made(written) -> None
     assert "its network counts samples: call it at 100 Hz" in told.notes
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("case", ["stribeck dahl", "dissipative"])
 def test_lagrangian_networks_become_graphs_too(case, tmp_path) -> None:
     told = export_onnx(lagrangian(case), tmp_path / "model.onnx")

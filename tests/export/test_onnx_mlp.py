@@ -14,8 +14,6 @@ from hil.export import onnx_mlp
 from hil.export.onnx_mlp import Chain, chain_of, export_onnx_mlp, onnxruntime_says
 from tests.support.synthetic_motion import dwelling, moving, nominal
 
-pytestmark = pytest.mark.quick
-
 onnx = pytest.importorskip("onnx", reason="onnx is not installed")
 pytest.importorskip("onnxruntime", reason="onnxruntime is not installed")
 

@@ -32,6 +32,7 @@ def needs_onnx() -> None:
         pytest.importorskip(name, reason=f"{name} is not installed")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("arm", ARMS)
 def test_torch_says_what_the_model_of_any_arm_says(arm, folder, tmp_path) -> None:
     told = export_torch(fitted_arm(arm, folder), tmp_path / "a.pt2")
@@ -41,6 +42,7 @@ def test_torch_says_what_the_model_of_any_arm_says(arm, folder, tmp_path) -> Non
     )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("arm", ARMS)
 def test_onnx_says_what_the_model_of_any_arm_says(arm, folder, tmp_path) -> None:
     needs_onnx()
@@ -60,6 +62,7 @@ def test_units_are_told_joint_by_joint(folder) -> None:
     assert turning["q"] == ["rad"] * 7
 
 
+@pytest.mark.thorough
 def test_other_names_than_pt2_are_warned_of(folder, tmp_path) -> None:
     told = export_torch(fitted_arm("panda", folder), tmp_path / "a.bin")
     assert told.notes == ("torch.export.load warns of other names than *.pt2",)

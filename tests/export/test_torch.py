@@ -39,6 +39,7 @@ def stepping(module):
     return step
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_module_says_what_the_model_says(kind) -> None:
     traced, golden = module_of(fitted(kind)), golden_of(fitted(kind), samples=120)
@@ -60,7 +61,6 @@ def test_a_network_says_what_its_stream_says(kind) -> None:
     assert np.array(found) == pytest.approx(expected, abs=1e-5 * np.abs(expected).max())
 
 
-@pytest.mark.quick
 def test_physics_and_network_together() -> None:
     traced, golden = module_of(fitted("residual")), golden_of(fitted("residual"), samples=60)
     assert largest_difference(stepping(traced.module), golden, traced.state_size) < 1e-6
@@ -135,6 +135,7 @@ def written(tmp_path_factory):
     return model, export_torch(model, tmp_path_factory.mktemp("torch") / "model.pt2")
 
 
+@pytest.mark.thorough
 def test_the_file_is_read_back_and_compared(written) -> None:
     _, told = written
     assert float(told.checked.split()[4]) < 1e-12
@@ -211,6 +212,7 @@ def test_there_is_no_pickle_in_the_file(written) -> None:
     assert pickles(usual.getvalue()) == ["archive/data/sample_inputs/model.pt"]
 
 
+@pytest.mark.thorough
 def test_a_program_that_says_something_else_is_not_written(written, tmp_path, monkeypatch) -> None:
     def bent(content):
         step = honest(content)

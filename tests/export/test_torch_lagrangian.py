@@ -30,11 +30,13 @@ def off_by(model) -> float:
     return largest_difference(stepping(traced.module), golden, traced.state_size)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("case", CASES)
 def test_a_module_says_what_the_network_says(case) -> None:
     assert off_by(lagrangian(case)) < 2e-6
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("friction", FORMS)
 def test_a_module_says_what_rigid_diffnea_says(friction) -> None:
     data = remembering(1, 2) if friction == "memory" else moving(1, 2)
@@ -43,6 +45,7 @@ def test_a_module_says_what_rigid_diffnea_says(friction) -> None:
     assert off_by(model) < (1e-7 if friction == "memory" else 1e-12)
 
 
+@pytest.mark.thorough
 def test_a_file_says_it_too_and_scatters_nothing(tmp_path) -> None:
     told = export_torch(lagrangian("dissipative"), tmp_path / "arm.pt2")
     assert told.checked

@@ -63,6 +63,7 @@ def test_friction_that_was_asked_for_wrongly_is_found_out(model, tmp_path, monke
         export_urdf(model, tmp_path / "a.urdf")
 
 
+@pytest.mark.thorough
 def test_a_model_that_is_no_rigid_body_is_refused_unless_wanted(tmp_path: Path) -> None:
     class Odd(RigidWls):
         def predict(self, dataset):
@@ -80,6 +81,7 @@ def test_a_model_that_is_no_rigid_body_is_refused_unless_wanted(tmp_path: Path) 
     assert not told.found.exact
 
 
+@pytest.mark.thorough
 def test_the_model_under_a_network_gives_its_own_links(model, tmp_path: Path) -> None:
     network = RigidWls().fit(moving(1, 2, 3), nominal())
     network.base_ = RigidWls().fit(moving(1, 2, 3), nominal())
@@ -89,6 +91,7 @@ def test_the_model_under_a_network_gives_its_own_links(model, tmp_path: Path) ->
     assert told.miss.rigid.max() < 1e-9
 
 
+@pytest.mark.thorough
 def test_folders_are_made_and_slips_of_paths_are_one_error(model, tmp_path: Path) -> None:
     told = export_urdf(model, tmp_path / "new" / "deep" / "a.urdf")
     assert told.out.is_file()
@@ -101,6 +104,7 @@ def test_folders_are_made_and_slips_of_paths_are_one_error(model, tmp_path: Path
     export_urdf(model, tmp_path / f"{'n' * 230}.urdf")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("own", [False, True], ids=["built in", "its own URDF"])
 def test_walls_and_ceilings_are_said_so(own: bool, model, tmp_path: Path) -> None:
     robot = RobotModel.from_arm("ur5", gravity=WALL)
@@ -127,7 +131,6 @@ def test_motors_that_move_two_joints_are_refused(tmp_path: Path) -> None:
     assert "robot: tx40" in str(refused.value.hint)
 
 
-@pytest.mark.quick
 def test_joints_that_slide_are_told_in_their_units(tmp_path: Path) -> None:
     slides = fitted_arm("sliding", tmp_path)
     folder = slides.save(tmp_path / "model")

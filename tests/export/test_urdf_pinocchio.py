@@ -61,6 +61,7 @@ def largest(model: RobotEstimator) -> float:
     return float(np.max(np.abs((parts["gravity"] + parts["inertia"]) * model.torque_scale_)))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["rigid-lmi", "rigid-hysteresis"])
 def test_links_of_a_model_of_the_mock_have_its_torques(name: str, recorded, tmp_path) -> None:
     pytest.importorskip("cvxpy")

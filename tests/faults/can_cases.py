@@ -74,7 +74,7 @@ class CanEnding(WireEnding):
         host: It is done by the run's own process, under this name.
         doubtful: Cycles more that may be left out of the recording: an answer that comes after
             one that is missing may be that one, and then it is not used.
-        proof: Another fault of the same kind is in `make test` already.
+        proof: Another fault of the same kind is in `make test-all` already.
     """
 
     says: tuple[str, ...] = ()

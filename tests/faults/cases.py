@@ -128,6 +128,6 @@ def cases() -> Iterator[Case]:
 
 
 def at_once(case: Case) -> bool:
-    """Whether a field is in `make test`: every fault at one kind of step, another each time."""
+    """Whether a field is in `make test-all`: every fault at one kind of step, another each time."""
     turn = list(FAULTS).index(case.fault) - list(STEPS).index(case.step)
     return turn % len(STEPS) == 0

@@ -23,13 +23,17 @@ ENDED_WITHIN_S = 20.0
 pytestmark = [pytest.mark.matrix, pytest.mark.timeout(300)]
 
 
+JOURNEYS = ("following error", "drive off the bus")
+
+
 def _fields() -> Iterator[Any]:
     """Every fault at one kind of step, another one each time; the rest takes longer: `proof`."""
     for number, (fault, ending) in enumerate(FAULTS.items()):
         steps = steps_of(ending)
         for at, step in enumerate(steps):
             at_once = at == number % len(steps) and not ending.proof
-            marks = () if at_once else (pytest.mark.proof,)
+            once = (pytest.mark.journey,) if fault in JOURNEYS else ()
+            marks = once if at_once else (pytest.mark.proof,)
             case = Case(step, fault)
             yield pytest.param(case, marks=marks, id=str(case))
 

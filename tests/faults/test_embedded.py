@@ -17,10 +17,16 @@ LOST_AT_MOST_S = 0.25
 pytestmark = pytest.mark.matrix
 
 
-FIELDS = [
-    pytest.param(case, marks=() if at_once(case) else (pytest.mark.proof,), id=str(case))
-    for case in cases()
-]
+JOURNEYS = ("kill -9", "robot fault", "disk full")
+
+
+def _marks(case: Case) -> tuple[pytest.MarkDecorator, ...]:
+    if not at_once(case):
+        return (pytest.mark.proof,)
+    return (pytest.mark.journey,) if case.fault in JOURNEYS else ()
+
+
+FIELDS = [pytest.param(case, marks=_marks(case), id=str(case)) for case in cases()]
 
 
 @pytest.mark.parametrize("case", FIELDS)

@@ -24,12 +24,16 @@ nobody waits any more for an arm that nobody can see come to rest."""
 pytestmark = [pytest.mark.matrix, pytest.mark.timeout(300)]
 
 
+JOURNEYS = ("protective stop", "cable out")
+
+
 def _fields() -> Iterator[Any]:
     """Every fault at one kind of step, another one each time; the rest takes longer: `proof`."""
     for number, (fault, ending) in enumerate(FAULTS.items()):
         steps = list(steps_of(ending))
         for at, step in enumerate(steps):
-            marks = () if at == number % len(steps) else (pytest.mark.proof,)
+            once = (pytest.mark.journey,) if fault in JOURNEYS else ()
+            marks = once if at == number % len(steps) else (pytest.mark.proof,)
             case = Case(step, fault)
             yield pytest.param(case, marks=marks, id=str(case))
 

@@ -14,8 +14,6 @@ import pytest
 
 from tests.support.paths import ROOT
 
-pytestmark = pytest.mark.quick
-
 OURS = ("hil", "hil_drivers", "hil_mock_robot")
 
 
@@ -36,6 +34,7 @@ def exists(module: str, name: str) -> bool:
         return (error.name or "").split(".")[0] not in OURS
 
 
+@pytest.mark.thorough
 def test_names_that_tests_import_exist() -> None:
     used: dict[tuple[str, str], str] = {}
     for file in sorted((ROOT / "tests").rglob("*.py")):

@@ -50,6 +50,7 @@ def station(path: Path, **robots: dict[str, Any]) -> Path:
     return path
 
 
+@pytest.mark.thorough
 def test_weekly_makes_the_first_model_champion_and_then_sees_no_change(tmp_path: Path) -> None:
     schedule = write_schedule(tmp_path)
     first = ended("weekly_reidentification", schedule, "--home", tmp_path)
@@ -105,6 +106,7 @@ def bare_arm(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return fitted.models[0], bare.run
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("mounted", "code"),
     [
@@ -172,6 +174,7 @@ def test_the_code_of_what_was_not_checked_is_none_of_hil() -> None:
     assert script("payload_check").NOT_CHECKED not in of_hil
 
 
+@pytest.mark.thorough
 def test_compare_arms_tells_a_worn_joint_and_nothing_of_the_same_arm(tmp_path: Path) -> None:
     worn = {"seed": 3, "day": 9, "wear": [1.0, 1.4, 1.0, 1.0, 1.0, 1.0]}
     lab = station(
@@ -195,6 +198,7 @@ def test_compare_arms_tells_a_worn_joint_and_nothing_of_the_same_arm(tmp_path: P
     assert "shoulder_lift_joint.coulomb" in text
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("estimator", "parameters"),
     [

@@ -106,6 +106,7 @@ def is_excused(module: str, node: Import) -> bool:
     return bool(frozenset().union(*map(loaded_by, targets(node))) - loaded_by(module))
 
 
+@pytest.mark.thorough
 def test_imports_inside_functions_load_something_heavy() -> None:
     late = defaultdict(set)
     for module in modules():

@@ -24,7 +24,6 @@ def loaded_after(code: str) -> set[str]:
     return {name.split(".")[0] for name in done.stderr.split()}
 
 
-@pytest.mark.quick
 @pytest.mark.parametrize(
     "code",
     [
@@ -56,6 +55,7 @@ def test_the_api_appears_when_it_is_used() -> None:
         hil.frobnicate  # noqa: B018
 
 
+@pytest.mark.thorough
 def test_every_function_of_the_api_works_in_one_script(tmp_path: Path) -> None:
     script = f"""
 import hil

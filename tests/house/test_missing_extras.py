@@ -16,6 +16,7 @@ DWELL = EXPERIMENTS / "ci_dwell_12.yaml"
 BAGS = EXPERIMENTS / "maps" / "ros2_joint_states.yaml"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("modules", "words", "told", "extra"),
     [

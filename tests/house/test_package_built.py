@@ -57,6 +57,7 @@ def sdist(checkout: dict[str, bytes], tmp_path_factory: pytest.TempPathFactory) 
     return built("build_sdist", folder / "source", folder)
 
 
+@pytest.mark.thorough
 def test_the_wheel_of_the_source_distribution_has_all_that_the_checkout_has(
     sdist: Path, checkout: dict[str, bytes], tmp_path: Path
 ) -> None:

@@ -10,8 +10,6 @@ import pytest
 
 from tests.support.paths import ROOT
 
-pytestmark = pytest.mark.quick
-
 SETUPTOOLS = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["setuptools"]
 PACKAGES = {"hil": ROOT, "hil_drivers": ROOT / "drivers", "hil_mock_robot": ROOT / "mock_robot"}
 

@@ -97,6 +97,7 @@ def test_circles_are_counted_by_when_they_are_imported(checkout: Path) -> None:
     assert "  3  hil.robots hil.robots._arm hil.robots._plan" in text
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("with_typing", [True, False])
 def test_the_graph_is_the_one_that_the_contracts_judge(with_typing: bool) -> None:
     modules = shape.read_modules(ROOT)
@@ -108,5 +109,6 @@ def test_the_graph_is_the_one_that_the_contracts_judge(with_typing: bool) -> Non
     assert shape.import_graph(modules, whens) == imported
 
 
+@pytest.mark.thorough
 def test_lines_fit_the_screen() -> None:
     assert max(map(len, printed(ROOT).splitlines())) <= shape.WIDTH

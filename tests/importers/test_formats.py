@@ -10,8 +10,6 @@ from hil.core.errors import DataError
 from hil.importers import ImportMap, import_recording
 from hil.importers.sources import load_source
 
-pytestmark = pytest.mark.quick
-
 ROWS = 40
 T = np.arange(ROWS) * 0.004
 Q = np.column_stack([np.sin(T), np.cos(T), T])

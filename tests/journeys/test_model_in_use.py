@@ -63,6 +63,7 @@ def bench(path: Path, **robot: Any) -> Path:
     return path
 
 
+@pytest.mark.thorough
 def test_poses_of_a_fitted_model_load_the_brakes_less_than_home(found) -> None:
     efforts = [pose["effort_percent"] for pose in found["poses"]]
     home, given = found["compared"]

@@ -193,6 +193,7 @@ VERBS = {
 }  # fmt: skip
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("as_json", [False, True], ids=["text", "--json"])
 @pytest.mark.parametrize("verb", VERBS)
 def test_every_verb_ends_as_it_would_with_another_name(
@@ -322,6 +323,7 @@ def test_every_page_of_the_dashboard_is_there_with_all_it_links_to(
     shutil.rmtree(odd)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", NAMES.values(), ids=NAMES)
 def test_stop_is_on_every_page_beside_a_run_of_any_name(tmp_path: Path, name: str) -> None:
     root = tmp_path / "runs"
@@ -343,6 +345,7 @@ def test_stop_is_on_every_page_beside_a_run_of_any_name(tmp_path: Path, name: st
         assert "does not listen" in answer.json()["error"]  # found, and its process is a test
 
 
+@pytest.mark.thorough
 def test_a_spec_of_any_name_is_checked_and_planned_from_its_form(
     lab: Path, places: dict[str, Path]
 ) -> None:

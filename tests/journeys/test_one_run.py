@@ -118,6 +118,7 @@ def by_call(spec: Path, runs: Path) -> None:
     assert report.outcome == "completed"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("run", "read_again"), [(by_command, 2), (by_call, 1)])
 def test_one_run_makes_each_thing_once(
     run: Callable[[Path, Path], None], read_again: int, tmp_path: Path

@@ -102,6 +102,7 @@ def test_no_verb_is_forgotten() -> None:
     assert not ASKED.keys() & NOT_ASKED
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("verb", ASKED)
 def test_a_verb_that_uses_the_arm_asks_for_the_one_that_was_recorded(verb: str, lab: Path) -> None:
     done = CliRunner().invoke(app, ASKED[verb].split())
@@ -110,7 +111,6 @@ def test_a_verb_that_uses_the_arm_asks_for_the_one_that_was_recorded(verb: str, 
     assert TOLD in said
 
 
-@pytest.mark.quick
 def test_so_does_the_api(lab: Path) -> None:
     for asked in (
         lambda: hil.dataset("RUN"),

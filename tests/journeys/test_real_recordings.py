@@ -54,6 +54,7 @@ def ur10e(tmp_path_factory):
     return list(imported(TRAIN)), list(imported(VALIDATION))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("parameters", "sources", "raw", "filtered"),
     [
@@ -87,6 +88,7 @@ def test_ur10e_baselines_are_reproduced(
         )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("estimator", "parameters", "raw"),
     [

@@ -43,7 +43,6 @@ def outcomes(document: dict[str, Any]) -> dict[str, str]:
     return {one["robot"]: one.get("outcome", "none") for one in document["robots"]}
 
 
-@pytest.mark.quick
 def test_robots_are_chosen_by_pattern_in_the_order_of_the_station() -> None:
     bench = mock_bench()
     assert robots_like(bench, ["ur10*", "ur3"], "lab.yaml") == ("ur10", "ur10e", "ur3")
@@ -57,7 +56,6 @@ def test_robots_are_chosen_by_pattern_in_the_order_of_the_station() -> None:
     assert caught.value.hint == "it has 99, the first is 'r0'"
 
 
-@pytest.mark.quick
 def test_only_the_robot_of_a_spec_is_replaced() -> None:
     text = spec_for(SPEC, "small.yaml", "ur5-001")
     assert text == SPEC.replace("robot: nobody", 'robot: "ur5-001"')
@@ -66,6 +64,7 @@ def test_only_the_robot_of_a_spec_is_replaced() -> None:
         spec_for("hil: 1\n", "small.yaml", "ur5-001")
 
 
+@pytest.mark.thorough
 def test_a_broken_robot_leaves_the_others_alone_and_is_run_when_it_is_mended(
     tmp_path: Path,
 ) -> None:
@@ -87,7 +86,6 @@ def test_a_broken_robot_leaves_the_others_alone_and_is_run_when_it_is_mended(
     assert read_json(run / "start.json")["robot_name"] == "b"
 
 
-@pytest.mark.quick
 def test_a_fleet_belongs_to_one_process(tmp_path: Path) -> None:
     folder = FleetGroup.create(tmp_path, "small", {"a": SPEC}, tmp_path / "small.yaml", "")
     with folder.held(), pytest.raises(DataError, match="belongs to pid"), folder.held():

@@ -188,7 +188,6 @@ def test_an_arm_that_was_replaced_does_not_take_over_the_run(place: Place) -> No
         place.measure()
 
 
-@pytest.mark.quick
 def test_a_run_that_asks_for_somebody_is_refused_before_it_begins(tmp_path: Path) -> None:
     robots = {"ur5": {"driver": "mock", "model": "ur5", "options": {"clock": "wall"}}}
     station = json.dumps({"hil_station": 1, "robots": robots})

@@ -131,6 +131,7 @@ def events(robot: Robot) -> list[tuple[str, int]]:
     return [(entry.event, entry.version) for entry in robot.registry.log("ur5")]
 
 
+@pytest.mark.thorough
 def test_the_first_model_is_champion_without_a_probe(robot: Robot) -> None:
     told = robot.due(0)
     assert robot.taken.asked == ["campaign"]
@@ -311,6 +312,7 @@ def test_the_champion_does_not_challenge_itself(robot: Robot) -> None:
     assert events(robot) == [("registered", 1), ("challenger", 1), ("promoted", 1)]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("lost", ["register", "challenge", "summary"])
 @pytest.mark.parametrize(("campaign", "event"), [("worn", "promoted"), ("short", "kept")])
 def test_what_a_crash_has_not_noted_is_not_done_twice(
@@ -328,6 +330,7 @@ def test_what_a_crash_has_not_noted_is_not_done_twice(
     assert events(robot) == before
 
 
+@pytest.mark.thorough
 def test_another_occasion_decides_for_itself(robot: Robot) -> None:
     """The same model again, kept once: the log has a decision of each occasion."""
     robot.due(0)

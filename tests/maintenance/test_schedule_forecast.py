@@ -33,6 +33,7 @@ def counted(found: list[Expected]) -> Counter[tuple[str, str]]:
     return counts
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "keys",
     [

@@ -12,8 +12,6 @@ from hil.core.errors import DataError, RecordingError
 from hil.maintenance.ledger import LEDGER_FILE, Ledger, Occasion, occasion_of, open_ledger
 from tests.support.schedule_parts import MONDAY, at
 
-pytestmark = pytest.mark.quick
-
 
 def three_lines(folder: Path) -> Path:
     with open_ledger(folder, "nightly") as ledger:

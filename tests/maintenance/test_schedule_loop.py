@@ -27,8 +27,6 @@ from tests.support.schedule_parts import (
     scheduler,
 )
 
-pytestmark = pytest.mark.quick
-
 if TYPE_CHECKING:
     from collections.abc import Iterator
 

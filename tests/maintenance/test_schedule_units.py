@@ -15,8 +15,6 @@ from hil.core.errors import RecordingError, SpecError
 from hil.maintenance.scheduler import Command
 from hil.maintenance.systemd import next_words, units_of, write_units
 
-pytestmark = pytest.mark.quick
-
 ANALYZE = shutil.which("systemd-analyze")
 ODD = 'a b/100 % of "$HOME"\\x/nightly.yaml'
 

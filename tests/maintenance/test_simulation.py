@@ -59,6 +59,7 @@ def lived(tmp_path_factory: pytest.TempPathFactory) -> Lived:
     return Lived(load_schedule_spec(path), Path(told["folder"]), told)
 
 
+@pytest.mark.thorough
 def test_what_changes_is_seen_and_the_robot_identified_again(lived: Lived) -> None:
     assert [each["week"] for each in lived.told["occasions"]] == [0.0, 1.0, 2.0]
     results = [each["result"] for each in lived.told["occasions"]]

@@ -9,8 +9,6 @@ import pytest
 
 from hil.report.simulation_page import found
 
-pytestmark = pytest.mark.quick
-
 JOINTS = ["a", "b"]
 
 

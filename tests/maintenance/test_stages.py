@@ -12,8 +12,6 @@ import pytest
 from hil.core.errors import DataError, RecordingError
 from hil.maintenance.stages import FOLDER, Document, Stage, run_stages, stored_result
 
-pytestmark = pytest.mark.quick
-
 
 class Work:
     """Three stages, one after the other; notes which of them are done."""

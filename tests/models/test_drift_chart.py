@@ -46,6 +46,7 @@ def changed(probe: Features, name: str, by: float) -> Features:
     return replace(probe, values=values)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("swing", [0.0, 8.0])
 def test_a_robot_that_does_not_change_is_called_so_as_rarely_as_stated(swing: float) -> None:
     dice, alarms, count = np.random.default_rng(3), 0, 0

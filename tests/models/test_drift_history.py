@@ -44,7 +44,6 @@ def registry(model: tuple[Path, Path], tmp_path: Path) -> Registry:
     return made
 
 
-@pytest.mark.quick
 def test_nothing_changes_until_something_does(registry, quiet, tmp_path: Path) -> None:
     told = [assess(registry, "ur5", source) for source in quiet]
     assert not any(one.changed for one in told)

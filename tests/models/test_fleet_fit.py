@@ -95,6 +95,7 @@ def always() -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 
 
+@pytest.mark.thorough
 def test_a_model_is_the_one_its_run_has_fitted(runs: list[Path], results: list[FitResult]) -> None:
     for run, result in zip(runs, results, strict=True):
         own = run / "fit" / result.folder
@@ -121,6 +122,7 @@ def test_another_run_at_the_same_path_is_not_taken_for_it(runs: list[Path]) -> N
     assert fit_at(runs[0].with_name("gone"), "another", HOW) is None
 
 
+@pytest.mark.thorough
 def test_a_dask_cluster_finds_the_same_bits_by_path_and_by_samples(
     runs: list[Path], results: list[FitResult], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -136,6 +138,7 @@ def test_a_dask_cluster_finds_the_same_bits_by_path_and_by_samples(
         assert [one.files for one in found] == [one.files for one in results]
 
 
+@pytest.mark.thorough
 def test_what_a_dead_process_took_along_is_computed_again(tmp_path: Path) -> None:
     tasks = [partial(mul, 2, 1), partial(once, str(tmp_path / "mark")), partial(mul, 2, 3)]
     assert spread_over_processes(tasks, 2, lambda done: None, lambda i: None) == [2, 42, 6]
@@ -151,6 +154,7 @@ def test_a_fit_that_always_kills_its_process_leaves_the_others_alone(
     assert [one.folder for one in found] == ["", "model", "model"]
 
 
+@pytest.mark.thorough
 def test_a_run_that_cannot_be_fitted_leaves_the_others_alone(
     runs: list[Path], results: list[FitResult], tmp_path: Path
 ) -> None:
@@ -164,6 +168,7 @@ def test_a_run_that_cannot_be_fitted_leaves_the_others_alone(
     assert store_fits([broken], found[:1], tmp_path)[0].model is None
 
 
+@pytest.mark.thorough
 def test_a_run_that_was_deleted_leaves_the_others_alone(
     runs: list[Path], results: list[FitResult], tmp_path: Path
 ) -> None:
@@ -184,6 +189,7 @@ def test_a_model_is_judged_as_its_run_has_judged_it(
         assert result.passed is True
 
 
+@pytest.mark.thorough
 def test_a_first_model_becomes_champion_the_next_its_challenger(
     runs: list[Path], results: list[FitResult], tmp_path: Path
 ) -> None:
@@ -277,6 +283,7 @@ def test_a_name_that_another_robot_has_is_refused(
     assert len(registry.versions("arm")) == 1
 
 
+@pytest.mark.thorough
 def test_fits_on_the_command_line(runs: list[Path], tmp_path: Path) -> None:
     named = [str(run) for run in runs]
     more = ["-e", "rigid-wls", "-o", str(tmp_path), "--workers", "1", "--json"]

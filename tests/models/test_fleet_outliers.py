@@ -33,6 +33,7 @@ def test_one_joint_with_more_friction_stands_out_and_nobody_else() -> None:
     assert found.expected[17, 2] == pytest.approx(5.0, rel=0.05)
 
 
+@pytest.mark.thorough
 def test_equals_stand_out_in_as_many_fleets_as_is_said() -> None:
     alarms = 0
     for seed in range(200):

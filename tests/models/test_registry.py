@@ -59,7 +59,6 @@ def test_the_same_model_twice_is_one_version(registry, folders) -> None:
     assert len(registry.versions("ur5")) == 3
 
 
-@pytest.mark.quick
 def test_rolling_back_restores_predictions_bit_for_bit(registry) -> None:
     promoted(registry, 1)
     before = registry.load("ur5").predict(moving(9)).effort

@@ -28,6 +28,7 @@ def models(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return [fit.save(home / str(k)) for k, fit in enumerate(fits)]
 
 
+@pytest.mark.thorough
 def test_nothing_that_was_done_is_undone_by_a_kill(models: list[Path], tmp_path: Path) -> None:
     dice, root = random.Random(7), tmp_path / "registry"
     for kill in range(KILLS):

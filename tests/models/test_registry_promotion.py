@@ -55,7 +55,6 @@ def on(sources) -> list[str]:
     return [word for seed in FRESH for word in ("--on", str(sources[seed]))]
 
 
-@pytest.mark.quick
 def test_the_better_is_promoted_and_the_way_back_is_there(registry, sources) -> None:
     first = called(registry, "promote", "ur5", "v1", *on(sources))
     assert "ur5: v1 is champion: there is no other champion" in first.stdout

@@ -100,6 +100,7 @@ def test_rows_that_come_a_minute_apart_are_no_motion_to_the_usual_physics() -> N
     assert "seconds" in caught.value.hint
 
 
+@pytest.mark.thorough
 def test_rates_that_differ_matter_to_what_counts_samples_alone() -> None:
     data = Dataset.concatenate([recorded(1, 2), scaled(recorded(3), t=2.0)])
     assert "trajectory3 is sampled at 50 Hz" in refusal("residual", data).message

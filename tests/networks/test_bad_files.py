@@ -111,6 +111,7 @@ def spoilt(values: np.ndarray) -> Iterator[tuple[str, np.ndarray | None]]:
         yield "infinite", np.full_like(values, np.inf)
 
 
+@pytest.mark.thorough
 @kinds
 def test_no_array_may_be_missing_misshapen_or_without_numbers(kind: str) -> None:
     arrays = load(stored(kind)[1])

@@ -40,7 +40,6 @@ def test_parts_add_up_to_the_torque(settings) -> None:
     assert close(parts.inertia + parts.coriolis + parts.gravity, net(*rows))
 
 
-@pytest.mark.quick
 @CASES
 def test_mass_matrix_equals_the_factor_filled_by_hand(settings) -> None:
     net, (q, qd, qdd) = network(settings), motion(8)
@@ -63,7 +62,6 @@ def test_coriolis_equals_christoffels_symbols(settings) -> None:
     assert close(net.parts(q, qd, qdd).coriolis, expected)
 
 
-@pytest.mark.quick
 @CASES
 def test_gravity_equals_the_gradient_of_the_potential_or_the_head(settings) -> None:
     net, (q, qd, qdd) = network(settings), motion(8)

@@ -253,6 +253,7 @@ def test_a_callback_that_raises_ends_the_processes() -> None:
         train(MLP, *surface(), epochs=100_000, jobs=2, callback=enough)
 
 
+@pytest.mark.thorough
 def test_processes_end_when_their_parent_is_killed(tmp_path) -> None:
     script = tmp_path / "parent.py"
     script.write_text(
@@ -362,7 +363,6 @@ def test_damping_that_cannot_be_is_refused() -> None:
         Damping(fall=1.0)
 
 
-@pytest.mark.quick
 def test_torch_takes_the_same_steps() -> None:
     pytest.importorskip("torch", reason="torch is not installed")
     X, Y = surface(60, noise=0.1)

@@ -15,8 +15,6 @@ pytest.importorskip("torch", reason="torch is not installed")
 from hil.networks.residual_network import ResidualNetwork
 from hil.networks.training import Told
 
-pytestmark = pytest.mark.quick
-
 QUICK = SHORT | {"epochs": 2, "batch_size": 400}
 NETWORK = {
     "estimator": "lagrangian", "network": {"hidden": [8]}, "friction": "coulomb",

@@ -10,8 +10,6 @@ from hil.core.errors import DataError, SpecError
 from hil.networks.residual_tcn import RingTcn, TrainedTcn
 from tests.support.residual_parts import OFFSETS, motions, problem, random_network, small
 
-pytestmark = pytest.mark.quick
-
 torch = pytest.importorskip("torch", reason="torch is not installed")
 
 KINDS = [

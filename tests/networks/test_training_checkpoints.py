@@ -44,6 +44,7 @@ def interrupted(folder: Path, after: int) -> None:
         trained(folder, Watched(raise_after=after))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("after", [2, 5, 7, 8, 9, 11])
 def test_an_interrupted_training_ends_with_the_same_bits(tmp_path: Path, after: int) -> None:
     whole, curves = trained()
@@ -225,6 +226,7 @@ def test_a_document_that_is_none_is_refused(tmp_path: Path, content: bytes) -> N
     refused(tmp_path)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("value", [-1, 99, 10**400, 1e308, float("nan"), None, "x", [], {}, True])
 @pytest.mark.parametrize("key", ["stage", "epoch", "curves"])
 def test_facts_that_were_altered_are_refused(tmp_path: Path, key: str, value: object) -> None:

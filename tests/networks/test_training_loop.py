@@ -12,8 +12,6 @@ from hil.networks.training import Stage, TrainingSettings, hybrid_stages, joint_
 from hil.networks.training_loop import Steps, torch_device, train  # noqa: E402
 from tests.support.training_parts import LEARN, SmallProblem, Watched, equal, weights  # noqa: E402
 
-pytestmark = pytest.mark.quick
-
 SETTINGS = TrainingSettings(epochs=10, batch_size=32, warm_up_steps=5, learning_rate=0.01)
 
 

@@ -48,7 +48,6 @@ def everything(plan: Plan) -> np.ndarray:
     return np.concatenate([np.vstack([start, q]) for start, q in samples_between(plan)])
 
 
-@pytest.mark.quick
 @pytest.mark.parametrize("plan_of_kind", [dwell_plan, fourier_plan])
 def test_motions_are_connected_and_steps_numbered(plan_of_kind: Any) -> None:
     plan = plan_of_kind()

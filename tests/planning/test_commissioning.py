@@ -221,6 +221,7 @@ def test_a_run_at_full_speed_that_is_cut_after_some_seconds_is_as_short():
     assert plan.duration_s <= 12.0
 
 
+@pytest.mark.thorough
 def test_every_motion_of_a_commissioning_plan_begins_where_the_one_before_it_ended():
     for part in (Commissioning(speed=0.1), Commissioning(first=3)):
         motions = built(part, **MEASURED_WELL).motions
@@ -228,6 +229,7 @@ def test_every_motion_of_a_commissioning_plan_begins_where_the_one_before_it_end
             assert one.q_end == pytest.approx(next_.q_start, abs=1e-9)
 
 
+@pytest.mark.thorough
 def test_margins_are_those_of_the_motions_that_are_executed():
     whole, slow = built(None), built(Commissioning(speed=0.1))
     assert slow.margins["robot_velocity_rad_s"] > whole.margins["robot_velocity_rad_s"]
@@ -243,6 +245,7 @@ def hil(*arguments):
     return subprocess.run(command, capture_output=True, text=True)
 
 
+@pytest.mark.thorough
 def test_plan_shows_exactly_what_the_run_with_the_same_options_does(tmp_path):
     options = ("--speed", "50%", "--first", "2", "--set", "excitation.seed=5")
     spec = "experiments/ci_dwell_12.yaml"
@@ -256,6 +259,7 @@ def test_plan_shows_exactly_what_the_run_with_the_same_options_does(tmp_path):
     assert len(planned["swept"]["joints"]) == 6
 
 
+@pytest.mark.thorough
 def test_time_ranges_and_boxes_are_printed_before_anything_moves(tmp_path):
     spec = "experiments/ci_dwell_12.yaml"
     said = hil("run", spec, "--speed", "50%", "--first", "1", "--runs", tmp_path).stderr
@@ -268,6 +272,7 @@ def test_time_ranges_and_boxes_are_printed_before_anything_moves(tmp_path):
     assert first < begins
 
 
+@pytest.mark.thorough
 def test_plan_prints_ranges_and_boxes(tmp_path):
     spec = "experiments/ci_dwell_12.yaml"
     said = hil("plan", spec, "--speed", "50%", "--picture", tmp_path / "plan.svg").stdout
@@ -275,6 +280,7 @@ def test_plan_prints_ranges_and_boxes(tmp_path):
     assert {"duration", "elbow_joint", "flange x", "flange z", "elbow y"} <= names
 
 
+@pytest.mark.thorough
 def test_a_commissioning_run_says_so_and_is_not_judged(tmp_path):
     asked = ("run", "experiments/ci_dwell_12.yaml", "--runs", tmp_path, "--json")
     done = hil(*asked, "--speed", "50%", "--first", "2")

@@ -32,6 +32,7 @@ def flange_heights(plan: Plan) -> tuple[float, float]:
     return float(poses[:, 2, 3].min()), float((poses[:, 2, 3] + TIP_M * poses[:, 2, 2]).min())
 
 
+@pytest.mark.thorough
 def test_the_margin_to_the_workspace_is_the_least_over_every_set_point() -> None:
     entry = {"kind": "workspace", "min_m": [-2, -2, -1]}
     loads = [{"mass_kg": 1.0, "com_m": [0, 0, 0.05], "size_m": [TIP_M, 0.03]}]

@@ -25,8 +25,6 @@ from hil.report.plan_drawing import (
 from hil.robot.state import state_topic
 from tests.support.plan_parts import plan_of
 
-pytestmark = pytest.mark.quick
-
 NAMES = tuple(f"shoulder_{i}_joint" for i in range(6))
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -86,6 +84,7 @@ def test_the_recording_takes_about_as_much_as_estimated(tmp_path: Path) -> None:
     assert estimated == pytest.approx(measured, rel=0.25)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("plan_of_kind", [dwell_plan, fourier_plan])
 def test_the_picture_is_one_self_contained_svg(plan_of_kind: object, tmp_path: Path) -> None:
     plan = plan_of_kind()  # type: ignore[operator]

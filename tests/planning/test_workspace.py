@@ -63,6 +63,7 @@ def tutorial() -> tuple[ExperimentSpec, dict[str, Any]]:
     return ExperimentSpec.model_validate(spec), station["robots"]["ur5"]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("bare", [False, True], ids=["with the shelf", "on a bare table"])
 def test_the_tutorials_spec_plans(bare: bool) -> None:
     spec, robot = tutorial()
@@ -74,6 +75,7 @@ def test_the_tutorials_spec_plans(bare: bool) -> None:
     assert plan.margins["workspace_m"] >= 0.05 - 1e-9
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("sides", BOXES.values(), ids=BOXES)
 @pytest.mark.parametrize("kind", ["dwell", "fourier"])
@@ -95,6 +97,7 @@ def test_every_motion_of_a_plan_stays_inside_the_box(
     assert plan.margins["clearance_m"] >= CLEARANCE_M
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", [1, 2])
 def test_optimised_trajectories_stay_inside_the_box(
     seed: int, monkeypatch: pytest.MonkeyPatch

@@ -132,6 +132,7 @@ def test_the_run_that_is_damaged_here_was_whole() -> None:
         assert api.list_runs(root)[0]["status"] == "completed"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", DOCUMENTS)
 @examples(8)
 @given(data=st.data())

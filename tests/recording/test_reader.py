@@ -16,8 +16,6 @@ from hil.recording import Attachment, McapWriter, read_info, read_topic
 from hil.robot.state import CDR_HEADER, STATE_TOPIC
 from tests.support.recorded_rows import JOINTS, raw_topic, record_state, rows_of, six_axis_topic
 
-pytestmark = pytest.mark.quick
-
 
 def foreign_recording(
     path: Path, fill: Callable[[Writer], None] | None = None, **options: Any

@@ -18,8 +18,6 @@ from hil.recording import McapWriter, Recorder, read_info, read_topic
 from hil.robot.state import STATE_TOPIC, Topic
 from tests.support.recorded_rows import JOINTS, raw_topic, rows_of, six_axis_topic
 
-pytestmark = pytest.mark.quick
-
 
 class SlowDisk(McapWriter):
     """A writer that waits for permission before it writes."""

@@ -73,7 +73,6 @@ def messages_of(path: Path) -> Iterator[tuple[str, int, int, int, bytes]]:
             yield channel.topic, m.sequence, m.log_time, m.publish_time, m.data
 
 
-@pytest.mark.quick
 def test_recovered_file_is_whole_and_has_the_rows_that_salvage_reads(torn: Path) -> None:
     salvaged = read_topic(torn, salvage=True)
     recovery = recover_file(torn)
@@ -340,6 +339,7 @@ def peak_of_recovering(folder: Path, rows: int) -> int:
     return int(done.stdout) * 1024
 
 
+@pytest.mark.thorough
 def test_memory_is_bounded_by_a_chunk_and_not_by_the_file(tmp_path: Path) -> None:
     small, large = (peak_of_recovering(tmp_path, rows) for rows in (5_000, 50_000))
     size = (tmp_path / "50000.mcap").stat().st_size
@@ -426,7 +426,6 @@ def a_run(root: Path, files: dict[str, bytes]) -> Path:
     return run.path
 
 
-@pytest.mark.quick
 def test_every_torn_recording_of_a_run_is_recovered_and_logged(
     tmp_path: Path, whole: tuple[StructArray, bytes]
 ) -> None:

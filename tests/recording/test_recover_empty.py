@@ -52,7 +52,6 @@ def finished(path: Path, rows: int = ROWS) -> tuple[bytes, list[ChunkSpan], int]
         return path.read_bytes(), scan(file, path).chunks, end
 
 
-@pytest.mark.quick
 def test_run_killed_before_its_first_flush_recovers_to_an_empty_recording(
     run: RunDirectory, empty: Path
 ) -> None:

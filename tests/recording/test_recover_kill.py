@@ -17,6 +17,7 @@ from tests.support.recorded_rows import record_state
 SCRIPT = FILES / "kill_recover.py"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["00.mcap.partial", "00.mcap"])
 @pytest.mark.parametrize("discard", [False, True])
 def test_a_kill_at_any_step_leaves_the_old_or_the_new_state(

@@ -61,6 +61,7 @@ def by_mcaps_own_reader(path: Path) -> bytes:
     return b"".join(one[len(CDR_HEADER) :] for one in data)
 
 
+@pytest.mark.thorough
 def test_cut_at_every_byte_it_is_recovered_up_to_the_tear_or_refused(
     folder: Path,
 ) -> None:

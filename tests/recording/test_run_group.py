@@ -17,8 +17,6 @@ from hil.core.errors import (
 )
 from hil.recording.run_group import FleetGroup, Member, SeriesGroup, worst_error
 
-pytestmark = pytest.mark.quick
-
 DONE = {"outcome": "completed", "verdict": "passed"}
 
 

@@ -126,6 +126,7 @@ def test_mcaps_reader_finds_messages_by_time_and_topic_through_the_index() -> No
     assert found == [*times(2, 40)[10:], *times(4, 1)]
 
 
+@pytest.mark.thorough
 def test_chunks_stay_below_their_size_and_lose_nothing_where_blocks_are_cut() -> None:
     file = io.BytesIO()
     stream = McapStream(file, "ros2", "hil")

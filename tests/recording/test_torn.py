@@ -34,6 +34,7 @@ def rows_or_refusal(path: Path) -> StructArray | None:
         return None
 
 
+@pytest.mark.thorough
 def test_file_cut_anywhere_gives_its_whole_chunks_or_a_clear_refusal(
     tmp_path: Path, rows_and_bytes: tuple[StructArray, bytes]
 ) -> None:
@@ -118,6 +119,7 @@ def test_flipped_bits_in_a_chunk_are_found_and_the_other_chunks_saved(
     assert read_topic(path, salvage=True).tobytes() == expected.tobytes()
 
 
+@pytest.mark.thorough
 def test_any_flipped_byte_gives_true_rows_or_a_refusal(
     tmp_path: Path, rows_and_bytes: tuple[StructArray, bytes]
 ) -> None:

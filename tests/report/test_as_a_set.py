@@ -63,6 +63,7 @@ def pages(registry, survey, report, tmp_path_factory) -> dict[str, Page]:
     }
 
 
+@pytest.mark.thorough
 def test_every_page_keeps_the_rules(pages: dict[str, Page]) -> None:
     assert {name: faults(page) for name, page in pages.items() if faults(page)} == {}
     assert all(panels(page) for page in pages.values())

@@ -76,7 +76,6 @@ def test_a_worn_joint_stands_out_by_its_change_though_not_by_its_friction(survey
     assert "change of friction of J2 +3" in out["ur5-011"] or "+2" in out["ur5-011"]
 
 
-@pytest.mark.quick
 def test_the_page_says_who_is_to_be_looked_at_and_loads_nothing(survey: Survey) -> None:
     page = Page(page_html(fleet_page(survey)))
     assert not [url for url in page.loads if url.startswith(("http", "//"))]
@@ -88,7 +87,6 @@ def test_the_page_says_who_is_to_be_looked_at_and_loads_nothing(survey: Survey) 
     assert "1 are not" in page.text
 
 
-@pytest.mark.quick
 def test_what_has_no_model_is_told_and_not_compared(survey: Survey) -> None:
     none = np.empty(0)
     bare = replace(
@@ -130,6 +128,7 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made.path
 
 
+@pytest.mark.thorough
 def test_a_small_fleet_is_reported_with_ages_and_without_judgement(
     fleet: Path, tmp_path: Path
 ) -> None:
@@ -146,6 +145,7 @@ def test_a_small_fleet_is_reported_with_ages_and_without_judgement(
     assert Path(told["page"]).is_file()
 
 
+@pytest.mark.thorough
 def test_runs_of_a_fleet_are_judged_as_probes_of_its_champions(fleet: Path, tmp_path: Path) -> None:
     registry = Registry(tmp_path / "registry")
     bare = probe_fleet(fleet, registry, 0.01)
@@ -197,6 +197,7 @@ def test_a_joint_without_temperature_has_no_mean() -> None:
     np.testing.assert_array_equal(mean, [2.0, np.nan])
 
 
+@pytest.mark.thorough
 def test_a_member_that_was_deleted_or_damaged_costs_nobody_else(
     fleet: Path, tmp_path: Path
 ) -> None:

@@ -71,7 +71,6 @@ def evaluation_of(run):
     return json.loads(next(run.path.glob("fit/*/evaluation.json")).read_text())
 
 
-@pytest.mark.quick
 @pytest.mark.parametrize("name", ["dwell_page", "fourier_page"])
 def test_the_page_loads_nothing_from_anywhere(name, request):
     page = request.getfixturevalue(name)
@@ -301,6 +300,7 @@ def test_the_worst_held_out_trajectory_is_shown(fourier_page):
     assert "Trajectory 2 (counted from 0) of" in fourier_page.text
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("outcome", "reason", "badge", "words"),
     [
@@ -441,6 +441,7 @@ def test_a_report_that_cannot_be_made_leaves_the_older_one(dwells, monkeypatch):
     assert not list(dwells.path.glob(".*draft"))
 
 
+@pytest.mark.thorough
 def test_a_full_size_run_stays_below_six_megabytes(tmp_path):
     plan = dwell_plan(poses=60)
     rows = rows_of_plan(plan, dwell_rows=1600)

@@ -49,7 +49,6 @@ def streams_of(pdf: bytes) -> bytes:
     return b"".join(zlib.decompress(each) for each in found if each[:1] == b"\x78")
 
 
-@pytest.mark.quick
 def test_every_figure_and_table_becomes_files_named_by_its_key(run: Path, tmp_path: Path) -> None:
     written = hil.figures(run, tmp_path / "out", formats=("pdf", "png", "svg"))
     names = {"table-2.csv", "table-2.tex", "contents.md"}
@@ -69,6 +68,7 @@ def test_fonts_are_embedded_as_outlines() -> None:
     assert b"/Type3" not in pdf
 
 
+@pytest.mark.thorough
 def test_no_panel_is_too_narrow_to_be_read() -> None:
     """Three side by side as asked for would be 29 mm wide in a column: two are."""
     column, page = (ElementTree.fromstring(drawn(six_panels(9), "svg", w)) for w in SIZE)

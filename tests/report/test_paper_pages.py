@@ -76,6 +76,7 @@ def test_a_page_gives_back_what_it_was_made_of(page: Path) -> None:
     assert grid.grid.log_count.shape == (48, 48)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("width", MM)
 @pytest.mark.parametrize("name", KINDS)
 def test_a_pdf_is_vectors_with_fonts_inside_as_wide_as_printed(
@@ -92,6 +93,7 @@ def test_a_pdf_is_vectors_with_fonts_inside_as_wide_as_printed(
     assert float(box[1]) / 72 * 25.4 == pytest.approx(MM[width], abs=0.1)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", KINDS)
 def test_an_svg_is_well_formed_and_has_no_pixels(page: Path, name: str) -> None:
     svg = ElementTree.fromstring(drawn(read(page, name), "svg"))
@@ -124,7 +126,6 @@ def test_dates_are_told_over_any_span(days: float) -> None:
     assert "xtick_2" in drawn(Figure("", "", "", (panel,)), "svg").decode()
 
 
-@pytest.mark.quick
 def test_powers_and_names_are_no_tex(page: Path) -> None:
     text = drawn(read(page, "powers"), "svg").decode()
     assert re.search(r"<!-- 10⁻[⁰-⁹] -->", text)
@@ -133,6 +134,7 @@ def test_powers_and_names_are_no_tex(page: Path) -> None:
     assert "<!-- v2 -->" in dated.replace("<!--  v2 -->", "<!-- v2 -->")
 
 
+@pytest.mark.thorough
 def test_a_run_gives_its_report_and_a_page_what_stands_in_it(tmp_path: Path, page: Path) -> None:
     run = write_run(tmp_path, dwell_plan(poses=6)).path
     render_report(run)
@@ -182,6 +184,7 @@ def drawn_only(draw: Callable[[Sheet], None], *given: object) -> bytes:
     return b""
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", KINDS)
 def test_a_damaged_figure_is_drawn_or_told_with_its_page_and_title(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -54,7 +54,6 @@ def other_arm_in_its_own_process() -> Robot:
 ALWAYS = len(BEFORE_AND_AFTER) + len(CONNECTED) + len(BENCH)
 
 
-@pytest.mark.quick
 @pytest.mark.parametrize(
     "make_robot", [KinematicRobot, embedded_mock, kinematic_in_its_own_process]
 )
@@ -339,6 +338,7 @@ def test_a_stop_that_comes_late_or_never_is_found(
     assert list(caught.value.failures) == ["a_stop_is_on_the_wire_in_time"]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("robot", "check"),
     [

@@ -296,6 +296,7 @@ def test_a_drivers_process_starts_light() -> None:
     assert loaded.isdisjoint({"mcap", "pydantic", "scipy", "pinocchio", "mujoco", "yaml", "typer"})
 
 
+@pytest.mark.thorough
 def test_a_whole_run_goes_through_a_driver_in_its_own_process(tmp_path: Path) -> None:
     station = tmp_path / "station.yaml"
     station.write_text(

@@ -17,8 +17,6 @@ from hil.runs.catalogue import find_runs
 from hil.runs.query import parse
 from tests.support.catalogue_runs import write_run
 
-pytestmark = pytest.mark.quick
-
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -17,8 +17,6 @@ from hil.models.registries_file import FILE, known_registries, note_registry, re
 from tests.support.catalogue_runs import settle, write_run
 from tests.support.synthetic_motion import moving, nominal
 
-pytestmark = pytest.mark.quick
-
 
 @pytest.fixture(autouse=True)
 def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

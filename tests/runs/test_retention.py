@@ -380,6 +380,7 @@ def test_what_is_half_deleted_is_no_run_and_no_recording(
     assert gone(runs, policy) == []
 
 
+@pytest.mark.thorough
 def test_a_deletion_killed_anywhere_leaves_whole_runs(runs: Path) -> None:
     for number in range(10, 60):
         write_run(runs, number, day="2026-11-01")
@@ -406,6 +407,7 @@ OLD = {"older": 0, "keep": None, "interrupted": False, "recordings_only": False}
 DONE = ["completed", "completed"]
 
 
+@pytest.mark.thorough
 @example(outcomes=DONE, links=[(0, _of_two_runs)], renamed=True, **OLD)
 @example(outcomes=DONE, links=[(0, _of_files_of_two_runs)], renamed=True, **OLD)
 @settings(max_examples=25, deadline=None)

@@ -19,8 +19,6 @@ from hil.spec.load import load_station
 from hil.spec.schedule import load_schedule_spec
 from hil.spec.series import load_series_spec
 
-pytestmark = pytest.mark.quick
-
 GOOD = """\
 hil: 1
 name: demo

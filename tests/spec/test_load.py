@@ -28,8 +28,6 @@ from hil.workflow.robot_status import bench
 from hil_drivers.cia402.options import options_of
 from tests.support.paths import EXPERIMENTS
 
-pytestmark = pytest.mark.quick
-
 SHIPPED = [
     path
     for path in sorted(EXPERIMENTS.glob("*.yaml"))

@@ -35,8 +35,6 @@ from tests.support.paths import DOCS, EXPERIMENTS
 from tests.support.study_parts import assert_figures_survive_json
 from tests.support.synthetic_motion import SIGN_WIDTH, moving, nominal, raw
 
-pytestmark = pytest.mark.quick
-
 SMALL: dict[str, Any] = {
     "cutoff_hz": 20.0,
     "rate_hz": 50.0,

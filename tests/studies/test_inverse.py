@@ -116,7 +116,6 @@ def test_corrections_share_the_model_of_their_seed() -> None:
     assert Toy.fits == 2
 
 
-@pytest.mark.quick
 def test_a_correction_is_judged_on_top_of_its_base() -> None:
     shown = table(made(methods=["proposed", "rc-motion"], protocols=["honest"]), "table-honest")
     base = cell(shown, "Proposed: DeLaN, Stribeck, hybrid", "mean")

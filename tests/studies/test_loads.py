@@ -50,7 +50,7 @@ def table(result: StudyResult, key: str) -> Table:
     return one
 
 
-@pytest.mark.quick
+@pytest.mark.thorough
 def test_told_of_the_load_a_model_errs_far_less() -> None:
     mean = {row[0]: row[-1] for row in table(found(), "table-load-errors").rows}
     for load in ("1 kg", "3 kg", "5 kg"):
@@ -85,6 +85,7 @@ def found_of_both() -> StudyResult:
     return study("load-validation", **SMALL | {"estimators": BOTH}).run(sweep(), nominal())
 
 
+@pytest.mark.thorough
 def test_every_estimator_is_judged_under_every_load() -> None:
     rows = {row[0]: row[1:] for row in table(found_of_both(), "table-load-errors").rows}
     for name in BOTH:
@@ -121,6 +122,7 @@ def test_the_worst_load_is_said_of_every_estimator() -> None:
         assert "by which motions are held out)" in said
 
 
+@pytest.mark.thorough
 def test_an_estimator_that_fails_costs_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
     from hil.estimators.rigid_irls import RigidIrls
 
@@ -151,6 +153,7 @@ def test_correct_declarations_are_said_to_agree() -> None:
     assert abs(mass.rows[1][3]) < 0.05
 
 
+@pytest.mark.thorough
 def test_a_tool_mounted_the_wrong_way_round_is_named() -> None:
     x, y, z = OFF_AXIS[1].com
     declared = (OFF_AXIS[0], replace(OFF_AXIS[1], com=(-x, -y, z)), OFF_AXIS[2])
@@ -160,6 +163,7 @@ def test_a_tool_mounted_the_wrong_way_round_is_named() -> None:
     assert found(declared).summary[0].startswith("3 kg: turned by")
 
 
+@pytest.mark.thorough
 def test_loads_on_the_axis_are_said_to_hide_their_angle() -> None:
     result = study("load-validation", **SMALL, figures=False).run(sweep(mounted=ON_AXIS), nominal())
     for load in ("1 kg", "3 kg", "5 kg"):
@@ -179,6 +183,7 @@ def test_no_motion_is_identified_from_and_judged() -> None:
         assert len(case.judged.conditions) == 1
 
 
+@pytest.mark.thorough
 def test_a_stored_model_is_judged_on_what_it_has_not_seen(tmp_path: Path) -> None:
     run = sweep()
     seen = run.select(lambda c: c.load == 0 and c.trajectory not in (2, 3))
@@ -218,6 +223,7 @@ def test_a_run_with_one_load_is_refused() -> None:
         study("load-validation", **SMALL).run(bare, nominal())
 
 
+@pytest.mark.thorough
 def test_a_load_that_cannot_be_identified_is_told_and_the_others_are_judged(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -265,6 +271,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return path
 
 
+@pytest.mark.thorough
 def test_the_verb_prints_verdicts_and_makes_the_page(run: Path) -> None:
     done = CliRunner().invoke(app, ["validate-loads", str(run), "-e", "rigid-wls"])
     assert done.exit_code == 0, done.output
@@ -272,6 +279,7 @@ def test_the_verb_prints_verdicts_and_makes_the_page(run: Path) -> None:
     assert f"report: {run / 'report.html'}" in done.stdout
 
 
+@pytest.mark.thorough
 def test_the_verb_prints_one_document_with_a_stored_model(run: Path, tmp_path: Path) -> None:
     saved = RigidWls().fit(recorded(1, 21, 22, 23), nominal()).save(tmp_path / "model")
     done = CliRunner().invoke(app, ["validate-loads", str(run), "--model", str(saved), "--json"])
@@ -281,6 +289,7 @@ def test_the_verb_prints_one_document_with_a_stored_model(run: Path, tmp_path: P
     assert told["parameters"]["models"] == [str(saved)]
 
 
+@pytest.mark.thorough
 def test_the_verb_takes_several_estimators(run: Path) -> None:
     asked = ["validate-loads", str(run), "-e", "rigid-wls", "-e", "rigid-irls", "--json"]
     done = CliRunner().invoke(app, asked)
@@ -311,6 +320,7 @@ def test_every_motion_is_judged_once_from_the_last_to_the_first() -> None:
         folds_of(every, None, 7)
 
 
+@pytest.mark.thorough
 def test_a_stored_model_and_a_fresh_fit_of_it_are_worth_the_same(tmp_path: Path) -> None:
     conditions = tuple(replace(c, source="run") for c in sweep().conditions)
     run = replace(sweep(), conditions=conditions)

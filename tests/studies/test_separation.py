@@ -93,6 +93,7 @@ def methods(*keys: str) -> list[Any]:
     return [known[key] for key in keys]
 
 
+@pytest.mark.thorough
 def test_the_result_can_be_shown_and_survives_json(found: StudyResult) -> None:
     assert faults_of(found) == []
     again = StudyResult.from_dict(json.loads(json_document(found.to_dict())))
@@ -192,6 +193,7 @@ def test_every_dwell_is_judged_once_by_models_that_have_not_seen_its_pose(data: 
     assert sorted(judged) == list(range(120))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("key", METHOD_KEYS)
 def test_no_honest_prediction_depends_on_the_current_it_is_to_predict(
     key: str, data: Dataset
@@ -221,7 +223,6 @@ def test_pose_only_methods_stay_at_the_friction_and_ours_goes_far_below(
     assert ours < coulomb / 3
 
 
-@pytest.mark.quick
 def test_the_band_of_both_approaches_is_the_friction_there_is() -> None:
     data = program(40, noise=1e-6)
     asked = {**SMALL, "protocols": ["honest"], "methods": ["gravity", "coulomb"]}
@@ -256,6 +257,7 @@ def test_the_spec_names_the_study_with_parameters_it_accepts() -> None:
     assert (asked.layout, asked.epochs) == ([4, 20, 20, 10, 1], 1000)  # type: ignore[attr-defined]
 
 
+@pytest.mark.thorough
 def test_a_run_on_the_mock_leaves_both_protocols_behind(tmp_path: Path) -> None:
     (tmp_path / "spec.yaml").write_text(MOCK_SPEC, "utf-8")
     report = hil.run(hil.load(tmp_path / "spec.yaml"), runs=tmp_path / "runs")

@@ -153,7 +153,6 @@ def test_a_share_of_poses_can_be_held_out_once_instead_of_folds() -> None:
     assert "12 dwells of poses drawn at random are held out" in found.parts[1].text[0]
 
 
-@pytest.mark.quick
 def test_the_paper_protocol_runs_without_the_honest_one() -> None:
     found = studied(program(40), **PAPER)
     assert [part.title for part in found.parts] == ["The recording", "As in the paper"]
@@ -172,6 +171,7 @@ def test_noise_of_a_sample_is_the_scatter_within_dwells() -> None:
     assert sample_noise(one_per_pose(dwells, 0)) == pytest.approx(0.02, rel=0.05)
 
 
+@pytest.mark.thorough
 def test_results_of_processes_come_in_the_order_of_the_tasks() -> None:
     told: list[tuple[str, int, int]] = []
     tasks = [Task(partial(mul, 2, k), cost=k) for k in range(5)]

@@ -139,6 +139,7 @@ class TestForgets(RobotConformance):
 """
 
 
+@pytest.mark.thorough
 def test_each_check_is_a_test_of_its_own(tmp_path: Path) -> None:
     said = pytest_of_others(tmp_path, BROKEN)
     assert f"1 failed, {len(check_names()) - 4} passed, 3 skipped" in said
@@ -155,6 +156,7 @@ def test_it(mock_robot):
 """
 
 
+@pytest.mark.thorough
 def test_five_lines_are_enough(tmp_path: Path) -> None:
     assert "1 passed" in pytest_of_others(tmp_path, FIVE_LINES)
 
@@ -174,6 +176,7 @@ def test_who_uses_nothing_loads_nothing(tmp_path: Path) -> None:
     assert "1 passed" in said, said
 
 
+@pytest.mark.thorough
 def test_it_can_be_switched_off(tmp_path: Path) -> None:
     harmless = "def test_it(): pass"
     assert "1 passed" in pytest_of_others(tmp_path, harmless, "-p", "no:hil")

@@ -104,6 +104,7 @@ MISTAKES: dict[str, Callable[[Path, Path], object]] = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_a_mistake_is_told_with_what_to_do(
     mistake: str, given: Given, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -118,6 +118,7 @@ def test_a_schedule_that_is_not_armed_moves_no_real_robot(
     assert nothing_moved(folder)
 
 
+@pytest.mark.thorough
 def test_a_schedule_is_armed_once_by_the_name_of_its_robot(
     real: object, folder: Path, types: Callable[..., FakeConsole]
 ) -> None:
@@ -135,6 +136,7 @@ def test_a_schedule_is_armed_once_by_the_name_of_its_robot(
     assert all(one["facts"]["address"] == AT for one in answers)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("typed", ["", "ur", "yes"])
 def test_another_answer_arms_nothing(
     typed: str, real: object, folder: Path, types: Callable[..., FakeConsole]
@@ -145,6 +147,7 @@ def test_another_answer_arms_nothing(
     assert not (folder / "schedules" / "weekly" / ARMED_FILE).exists()
 
 
+@pytest.mark.thorough
 def test_without_a_terminal_nothing_is_armed_but_by_yes(real: object, folder: Path) -> None:
     with pytest.raises(NotConfirmed, match="no terminal is attached"):
         called("schedule", "arm", "weekly.yaml")
@@ -165,6 +168,7 @@ def edit(name: str, old: str, new: str) -> Callable[[Path], None]:
     return change
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -208,6 +212,7 @@ def test_the_schedule_names_robot_and_address(
     assert nothing_moved(folder)
 
 
+@pytest.mark.thorough
 def test_mocks_need_neither_names_nor_arming(folder: Path) -> None:
     write_schedule(folder)
     assert "needs no arming" in called("schedule", "arm", "weekly.yaml").stdout
@@ -217,6 +222,7 @@ def test_mocks_need_neither_names_nor_arming(folder: Path) -> None:
     called("run", "series.yaml")
 
 
+@pytest.mark.thorough
 def test_a_series_is_confirmed_at_its_start_for_all_runs(
     real: object, folder: Path, types: Callable[..., FakeConsole]
 ) -> None:
@@ -226,6 +232,7 @@ def test_a_series_is_confirmed_at_its_start_for_all_runs(
     assert [(one["how"], one["by"]) for one in confirmations(folder)] == [("typed", "anna")] * 2
 
 
+@pytest.mark.thorough
 def test_a_series_without_the_name_of_its_robot_moves_nothing(
     real: object, folder: Path, types: Callable[..., FakeConsole]
 ) -> None:
@@ -306,6 +313,7 @@ def change_poses(folder: Path) -> None:
     (folder / "poses.csv").write_text(POSES.replace("70", "90"), "utf-8")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -333,6 +341,7 @@ def test_a_running_schedule_is_compared_with_its_record_before_each_motion(
         confirm(facts, lambda: None)
 
 
+@pytest.mark.thorough
 def test_a_disarmed_schedule_does_not_go_on_with_a_run_that_was_cut_off(
     real: object, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -348,6 +357,7 @@ def test_a_disarmed_schedule_does_not_go_on_with_a_run_that_was_cut_off(
         reidentifying.Measuring(folder / "runs", confirm=confirm).measure(bound.campaign, "weekly")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("changed", ["probe", "campaign"])
 def test_probe_and_campaign_of_one_name_are_both_compared(
     changed: str, real: object, folder: Path
@@ -431,6 +441,7 @@ def test_a_run_of_a_series_is_gone_on_with_by_yes_where_the_file_names_its_robot
             confirm.admit("ur5", address)
 
 
+@pytest.mark.thorough
 def test_the_facts_say_that_the_way_to_the_first_pose_is_not_included(
     real: object, folder: Path, types: Callable[..., FakeConsole]
 ) -> None:

@@ -164,6 +164,7 @@ def test_what_a_driver_says_once_it_is_connected_takes_no_confirmation_back(
     assert answer["facts"]["address"] == AT
 
 
+@pytest.mark.thorough
 def test_its_name_moves_it_and_what_was_shown_is_recorded(
     real: object, experiment: hil.Experiment
 ) -> None:
@@ -180,6 +181,7 @@ def test_its_name_moves_it_and_what_was_shown_is_recorded(
     assert console.shown[-1].startswith("type ur5 to move")
 
 
+@pytest.mark.thorough
 def test_the_space_that_was_shown_is_that_of_the_plan_that_is_executed(
     real: object, experiment: hil.Experiment
 ) -> None:
@@ -191,6 +193,7 @@ def test_the_space_that_was_shown_is_that_of_the_plan_that_is_executed(
     assert facts["speed_rad_s"] == plan.extremes.qd_max.max()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("typed", ["", "UR5", "ur", "yes"])
 def test_any_other_answer_leaves_it_where_it_is(
     real: object, experiment: hil.Experiment, typed: str
@@ -263,6 +266,7 @@ def test_another_robot_than_the_experiments_is_a_mistake_also_on_a_mock(
         hil.run(experiment, runs=experiment.folder / "runs", robot="ur10")
 
 
+@pytest.mark.thorough
 def test_a_run_that_goes_on_as_it_was_confirmed_asks_nothing(
     real: object, experiment: hil.Experiment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -272,6 +276,7 @@ def test_a_run_that_goes_on_as_it_was_confirmed_asks_nothing(
     assert "confirmation" not in document(resumed, "resume-01.json")
 
 
+@pytest.mark.thorough
 def test_a_run_that_goes_on_at_another_address_asks_again(
     real: Callable[[str], None], experiment: hil.Experiment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -285,6 +290,7 @@ def test_a_run_that_goes_on_at_another_address_asks_again(
     assert (answer["by"], answer["facts"]["address"]) == ("bert", ELSEWHERE)
 
 
+@pytest.mark.thorough
 def test_the_newest_confirmation_counts(
     real: Callable[[str], None], experiment: hil.Experiment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -305,6 +311,7 @@ def jogged(run: Path) -> None:
     station.write_text(station.read_text("utf-8").replace("driver: mock", options), "utf-8")
 
 
+@pytest.mark.thorough
 def test_a_run_that_goes_on_with_an_arm_that_was_jogged_asks_again(
     real: object, experiment: hil.Experiment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -332,6 +339,7 @@ def test_what_is_armed_goes_on_with_an_arm_that_was_jogged(
     assert document(resumed, "resume-01.json")["confirmation"]["how"] == "armed"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("record", ["another payload", "none"])
 def test_a_run_that_was_confirmed_for_another_payload_or_never_asks(
     real: object, experiment: hil.Experiment, monkeypatch: pytest.MonkeyPatch, record: str
@@ -391,6 +399,7 @@ def test_what_was_confirmed_covers_less_motion_but_no_more(
     assert "; ".join(differences(FACTS, FACTS | change)) == said
 
 
+@pytest.mark.thorough
 def test_facts_confirmed_on_a_form_move_that_robot_and_no_other(
     real: Callable[[str], None], experiment: hil.Experiment
 ) -> None:

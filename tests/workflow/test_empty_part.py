@@ -58,6 +58,7 @@ def test_run_of_nothing_but_an_empty_part_says_so_and_is_reported(
     assert told.exit_code == 0, told.output
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("recovered", [False, True])
 def test_run_with_empty_parts_is_resumed_to_its_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, recovered: bool

@@ -26,6 +26,7 @@ from tests.support.paths import EXPERIMENTS
 DWELL = EXPERIMENTS / "ci_dwell_12.yaml"
 
 
+@pytest.mark.thorough
 def test_a_recording_that_cannot_be_finished_is_a_failed_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -99,6 +100,7 @@ def test_a_second_signal_during_the_stop_changes_nothing(
     assert not list(report.run.glob("recording/*.partial"))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_while_planning_ends_the_command_and_says_so(
     tmp_path: Path, number: signal.Signals
@@ -160,6 +162,7 @@ def test_a_criterion_in_the_wrong_unit_is_refused_before_anything_moves(tmp_path
     assert not list(tmp_path.glob("*/*/*"))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("module", "step"), [(recording, "write_beginning"), (recording, "open_recorder")]
 )

@@ -16,8 +16,6 @@ from hil.recording.run_directory import RunDirectory
 from hil.workflow.following import EventTail, follow, how_it_ended, newest_live, only_live
 from hil.workflow.live_state import LiveState
 
-pytestmark = pytest.mark.quick
-
 
 def begun(tmp_path: Path, name: str = "dwell") -> RunDirectory:
     run = RunDirectory.create(tmp_path, "ur5", name)

@@ -87,6 +87,7 @@ LEFT: dict[str, Callable[[Path], None]] = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("moment", LEFT)
 def test_a_run_that_was_killed_after_its_motion_is_resumed_to_its_report(
     run: Path, moment: str

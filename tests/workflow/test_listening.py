@@ -238,7 +238,6 @@ def test_an_unknown_robot_says_which_there_are(tmp_path):
         record_passively(replace(RecordingRequest("ur55")), station=None, runs=tmp_path, tell=print)
 
 
-@pytest.mark.quick
 def test_the_command_prints_one_document(use, tmp_path):
     use(Driven())
     line = ["record", "--robot", "ur5", "--for", "2 s", "--runs", str(tmp_path), "--json"]

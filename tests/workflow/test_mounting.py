@@ -65,6 +65,7 @@ def wall(tmp_path_factory: pytest.TempPathFactory) -> RunReport:
     return hil.run(hil.load(SPEC, bench), runs=folder)
 
 
+@pytest.mark.thorough
 def test_an_arm_on_the_wall_is_identified_as_well_as_upright(
     wall: RunReport, tmp_path: Path
 ) -> None:
@@ -134,6 +135,7 @@ def test_fitting_a_run_again_knows_how_the_arm_was_mounted(wall: RunReport, tmp_
     assert again.fitted.model.robot_.gravity_vector.tolist() == WALL
 
 
+@pytest.mark.thorough
 def test_a_model_of_a_mounted_arm_is_not_used_for_an_upright_one(
     wall: RunReport, tmp_path: Path
 ) -> None:

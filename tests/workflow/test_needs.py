@@ -83,7 +83,6 @@ def test_a_start_from_the_dashboard_refuses_them_as_well(tmp_path: Path) -> None
     assert len(check_start(path, None, commissioning=Commissioning(first=2))) == 1
 
 
-@pytest.mark.quick
 def test_a_commissioning_run_is_not_judged_and_may_be_small(tmp_path: Path) -> None:
     study = "\nstudy: [{study: static-separation}]\naccept: {rmse: {max: 1, unit: Nm}}"
     rest = SIX.replace("waypoints: 6", "waypoints: 3") + study
@@ -284,6 +283,7 @@ def test_the_only_pose_of_a_file_cannot_be_held_out(tmp_path: Path) -> None:
                          "none to fit on")  # fmt: skip
 
 
+@pytest.mark.thorough
 def test_a_plan_warns_of_extras_without_which_the_run_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

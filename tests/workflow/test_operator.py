@@ -37,8 +37,6 @@ from tests.support.engine_parts import small_plan
 from tests.support.kinematic_robot import KinematicRobot
 from tests.support.live_run import until
 
-pytestmark = pytest.mark.quick
-
 MOUNT = "Mount the 3 kg disc"
 
 

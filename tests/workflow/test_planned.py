@@ -89,12 +89,14 @@ def test_a_robot_on_a_virtual_clock_is_planned_from_where_it_stands():
     assert hil.plan(experiment).hash == hil.plan(experiment, connect=True).hash
 
 
+@pytest.mark.thorough
 def test_the_command_says_what_it_did_not_ask(station):
     done = plan_in_a_process(station, "--json")
     assert done.returncode == 0, done.stderr
     assert WITHOUT_THE_ROBOT in json.loads(done.stdout)["warnings"]
 
 
+@pytest.mark.thorough
 def test_told_to_connect_it_does(station):
     station.write_text(station.read_text().replace(NOBODY, "no-such-robot.invalid"))
     done = plan_in_a_process(station, "--connect")

@@ -108,7 +108,7 @@ def torn(run: Path, keep: float) -> None:
     partial.write_bytes(data[: int(keep * len(data))])
 
 
-@pytest.mark.quick
+@pytest.mark.thorough
 def test_a_stopped_run_goes_on_and_is_judged(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -166,6 +166,7 @@ def test_what_was_whole_is_not_measured_again(
     assert set(np.unique(first["segment"]).tolist()) >= before
 
 
+@pytest.mark.thorough
 def test_the_dataset_of_a_resumed_run_has_every_dwell_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -189,6 +190,7 @@ def test_files_of_the_first_attempt_stay_as_they_were(
     assert {"resume-01.json", "preflight-01.json", "stop-01.json"} <= names
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", range(3))
 def test_any_number_of_stops_kills_and_resumes_measures_the_same_as_none(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seed: int
@@ -212,6 +214,7 @@ def test_any_number_of_stops_kills_and_resumes_measures_the_same_as_none(
     assert sorted(counted.values()) == [1] * 8
 
 
+@pytest.mark.thorough
 def test_a_run_whose_fit_was_killed_is_fitted_without_moving(tmp_path: Path) -> None:
     report = hil.run(hil.load(small_spec(tmp_path, FITTED)), runs=tmp_path / "runs")
     for path in sorted(report.run.glob("fit/*/*")):
@@ -224,6 +227,7 @@ def test_a_run_whose_fit_was_killed_is_fitted_without_moving(tmp_path: Path) -> 
     assert len(RunDirectory.open(report.run).recordings) == 1
 
 
+@pytest.mark.thorough
 def test_trainings_that_a_kill_left_after_the_verdict_are_forgotten(tmp_path: Path) -> None:
     run = hil.run(hil.load(small_spec(tmp_path, FITTED)), runs=tmp_path / "runs").run
     (run / TRAINING / "lagrangian-0123456789ab").mkdir(parents=True)
@@ -232,6 +236,7 @@ def test_trainings_that_a_kill_left_after_the_verdict_are_forgotten(tmp_path: Pa
     assert not (run / TRAINING).exists()
 
 
+@pytest.mark.thorough
 def test_nobody_else_resumes_a_run_that_is_being_resumed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -254,6 +259,7 @@ def test_nobody_else_resumes_a_run_that_is_being_resumed(
     assert RunDirectory.open(run).attempts == 2
 
 
+@pytest.mark.thorough
 def test_a_complete_run_has_nothing_to_go_on_with(tmp_path: Path) -> None:
     report = hil.run(hil.load(small_spec(tmp_path)), runs=tmp_path / "runs")
     with pytest.raises(DataError, match="complete"):
@@ -282,6 +288,7 @@ def test_another_robot_is_refused_and_nothing_is_written(
     assert sorted(run.rglob("*")) == files
 
 
+@pytest.mark.thorough
 def test_a_run_that_ended_before_its_plan_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -291,6 +298,7 @@ def test_a_run_that_ended_before_its_plan_says_so(
         hil.resume(run)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("size", [0, 8, 200, 3000])
 def test_a_kill_before_the_first_sample_costs_nothing_but_that_attempt(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, size: int

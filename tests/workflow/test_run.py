@@ -40,7 +40,6 @@ def changed_spec(tmp_path: Path, old: str, new: str, name: str = "ci_dwell_12.ya
     return spec
 
 
-@pytest.mark.quick
 def test_a_dwell_experiment_completes_with_a_judged_model(dwell: RunReport) -> None:
     assert dwell.error is None
     assert dwell.outcome == "completed"
@@ -50,7 +49,6 @@ def test_a_dwell_experiment_completes_with_a_judged_model(dwell: RunReport) -> N
     assert dwell.report.is_file()
 
 
-@pytest.mark.quick
 def test_a_fourier_experiment_completes_with_a_judged_model(fourier: RunReport) -> None:
     assert fourier.error is None
     assert fourier.outcome == "completed"

@@ -112,6 +112,7 @@ def test_other_dwells_are_no_business_of_the_weighing() -> None:
     assert scales.events == []
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("loads", "changes", "kind", "reason"),
     [
@@ -168,6 +169,7 @@ def test_a_load_left_on_where_the_first_one_is_weighed_again_can_be_waived() -> 
     assert (event["load"], event["result"]) == (0, "waived")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("kg", "passes"), [(0.13, True), (0.3, False)])
 def test_the_first_load_weighed_again_has_the_limits_of_any_other(kg: float, passes: bool) -> None:
     heavier = Scales(sweep(*bodies(1, 4)), lambda load: replace(load, mass=load.mass + kg))
@@ -192,6 +194,7 @@ def test_an_earlier_weighing_that_cannot_be_read_is_said_and_the_run_goes_on() -
     assert "at weighing pose 1 from below, the recording is torn" in event["problem"]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("mounted", [lambda load: load, lambda load: Payload()])
 def test_a_load_that_is_too_light_to_be_told_from_none_passes_without_a_conclusion(
     mounted: Mounted,
@@ -205,6 +208,7 @@ def test_a_load_that_is_too_light_to_be_told_from_none_passes_without_a_conclusi
     assert event["problem"].endswith("does not tell loads apart that differ by 0.10 kg")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("mass", "result"), [(0.37, "inconclusive"), (0.38, "passed")])
 def test_a_limit_of_half_the_difference_to_the_first_load_is_no_conclusion(
     mass: float, result: str
@@ -215,6 +219,7 @@ def test_a_limit_of_half_the_difference_to_the_first_load_is_no_conclusion(
     assert scales.events[-1]["result"] == result
 
 
+@pytest.mark.thorough
 def test_stiff_joints_make_a_weighing_inconclusive_that_would_tell_otherwise() -> None:
     smooth, stiff = (Scales(sweep(*bodies(0, 1)), friction_nm=nm) for nm in (2.0, 40.0))
     smooth.weigh()
@@ -228,6 +233,7 @@ def test_another_load_is_found_where_a_right_one_would_not_be_told_from_none() -
         scales.weigh()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("mass", "result"), [(0.1, "inconclusive"), (3, "passed")])
 def test_the_bare_flange_again_must_be_told_from_the_load_that_may_still_be_on(
     mass: float, result: str

@@ -197,7 +197,6 @@ def test_a_series_on_the_command_line(pair: Path, tmp_path: Path) -> None:
     assert CliRunner().invoke(app, ["report", told["series"]]).exit_code == 0
 
 
-@pytest.mark.quick
 def test_what_is_left_of_a_slow_series_is_run_as_slowly(series: Series, tmp_path: Path) -> None:
     slow = Commissioning(speed=0.1)
     folder = series.create_group(tmp_path, part=slow)

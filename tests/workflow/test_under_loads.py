@@ -70,6 +70,7 @@ def verdict(run: RunDirectory) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.thorough
 def test_every_estimator_is_fitted_to_the_first_load_alone(done: Any) -> None:
     models = [load_model_file(path.parent) for path in done[0].path.glob("fit/*/model.json")]
     assert {model.estimator for model in models} == {"rigid-wls", "rigid-linear"}
@@ -90,6 +91,7 @@ def test_the_study_is_of_the_models_that_were_fitted(done: Any) -> None:
     assert found.seconds > 0.0
 
 
+@pytest.mark.thorough
 def test_nothing_is_fitted_twice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fits = []
     real = RigidWls.fit
@@ -125,6 +127,7 @@ def test_whoever_watches_is_told_how_far_it_is(done: Any) -> None:
     assert done[1][-1] == {"kind": "study", "study": ""}
 
 
+@pytest.mark.thorough
 def test_the_study_is_made_again_as_it_was(done: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     path = done[0].path
     monkeypatch.setattr(studies, "load_source", lambda path: of_run(path, raw(sweep())))
@@ -136,6 +139,7 @@ def test_the_study_is_made_again_as_it_was(done: Any, monkeypatch: pytest.Monkey
     assert read_study(folder / "study.json").parts[0].tables == before.parts[0].tables
 
 
+@pytest.mark.thorough
 def test_the_first_alone_may_have_to_keep_the_limit(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -148,6 +152,7 @@ def test_the_first_alone_may_have_to_keep_the_limit(
     assert verdict(run)["verdict"] == "rejected"
 
 
+@pytest.mark.thorough
 def test_a_load_that_contradicts_its_declaration_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -156,7 +161,6 @@ def test_a_load_that_contradicts_its_declaration_is_named(
     assert (row["what"], row["value"], row["passed"]) == ("run (3 kg)", 1, False)
 
 
-@pytest.mark.quick
 def test_a_run_that_lacks_loads_says_so_and_keeps_its_models(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -101,6 +101,7 @@ def test_the_right_load_passes_and_the_run_is_completed(
     assert any(str(event.get("stage")).startswith("weighing again, on purpose") for event in told)
 
 
+@pytest.mark.thorough
 def test_a_load_left_on_is_found_and_taking_it_off_helps(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, plan: Plan
 ) -> None:
@@ -115,6 +116,7 @@ def test_a_load_left_on_is_found_and_taking_it_off_helps(
     assert weighings(run)[1:] == [(0, "failed"), (0, "passed"), (1, "passed")]
 
 
+@pytest.mark.thorough
 def test_a_load_left_on_can_be_waived(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, plan: Plan
 ) -> None:
@@ -123,6 +125,7 @@ def test_a_load_left_on_can_be_waived(
     assert weighings(run)[1] == (0, "waived")
 
 
+@pytest.mark.thorough
 def test_a_first_load_nothing_was_measured_with_may_be_put_right(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, plan: Plan
 ) -> None:
@@ -134,6 +137,7 @@ def test_a_first_load_nothing_was_measured_with_may_be_put_right(
     assert weighings(run) == [(0, "first"), (0, "first"), (1, "passed")]
 
 
+@pytest.mark.thorough
 def test_a_first_load_that_was_weighed_and_measured_is_not_mounted_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, plan: Plan
 ) -> None:
@@ -150,6 +154,7 @@ def run_without_its_weighing(folder: Path, patch: pytest.MonkeyPatch, plan: Plan
         return stopped_run(folder, lossy, of_load(plan, 1, "dwell")[1].index, SWEEP)
 
 
+@pytest.mark.thorough
 def test_a_first_load_whose_weighing_is_lost_is_mounted_and_weighed_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, plan: Plan
 ) -> None:
@@ -162,6 +167,7 @@ def test_a_first_load_whose_weighing_is_lost_is_mounted_and_weighed_again(
     assert not done & set(json.loads((run / "resume-01.json").read_text("utf-8"))["steps"])
 
 
+@pytest.mark.thorough
 def test_a_first_load_weighed_for_the_others_alone_is_remembered(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, plan: Plan
 ) -> None:
@@ -175,6 +181,7 @@ def test_a_first_load_weighed_for_the_others_alone_is_remembered(
     assert told.said == ["Mount 3 kg", "3 kg"]
 
 
+@pytest.mark.thorough
 def test_a_torn_weighing_that_was_measured_after_is_said_and_no_reason_to_stop(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, plan: Plan
 ) -> None:

@@ -41,6 +41,7 @@ def require_honest(profile: str, seed: int, *masses: float) -> None:
         assert event["deviation_kg"] < 0.06 + 0.04 * mass
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("profile", "seed"), [("ideal", 1), *(("full", seed) for seed in range(1, 6))]
 )
@@ -71,7 +72,6 @@ def test_one_kilogram_instead_of_three_is_found_and_named(profile: str) -> None:
     assert light.events[-1]["weighed_kg"] == pytest.approx(1.0, abs=0.2)
 
 
-@pytest.mark.quick
 def test_nothing_is_measured_under_a_load_that_failed() -> None:
     plan = cylinder()
     found = weigh(plan, lambda load: Payload(), seed=1)

@@ -15,8 +15,6 @@ from hil_mock_robot.cia402.dictionary import eds_of
 from hil_mock_robot.cia402.keys import key
 from tests.support.cia402_drives import drives
 
-pytestmark = pytest.mark.quick
-
 NOT_VALID = 1 << 31
 
 

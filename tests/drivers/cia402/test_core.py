@@ -194,6 +194,7 @@ def test_motion_ends_where_it_was_planned_to(station: Station) -> None:
     assert station.outputs.target_position == [1000 + 19_900, 2000 + 19_900, 3000 + 19_900]
 
 
+@pytest.mark.thorough
 def test_stop_brakes_with_the_next_cycle(station: Station) -> None:
     station.ready()
     station.move(rows=100_000)
@@ -220,6 +221,7 @@ def test_quick_stop_is_in_the_next_cycle(station: Station) -> None:
     assert first <= at + 2
 
 
+@pytest.mark.thorough
 def test_fault_ends_the_motion_and_is_told_once(station: Station) -> None:
     station.ready()
     station.move(rows=100_000)
@@ -285,6 +287,7 @@ def test_rest_switches_all_axes_off_step_by_step_and_ends_the_cycles(station: St
     assert station.drives.cycle == at
 
 
+@pytest.mark.thorough
 def test_rest_of_an_arm_that_moves_brakes_it(station: Station) -> None:
     station.ready()
     station.move(rows=100_000)
@@ -339,7 +342,6 @@ def test_commands_before_open_say_what_to_do(station: Station) -> None:
         station.core.run()
 
 
-@pytest.mark.quick
 def test_records_of_an_arm_at_rest_may_be_forgotten() -> None:
     station = Station(kept_s=0.3)
     station.core._free = False  # does not wait for the reader
@@ -351,6 +353,7 @@ def test_records_of_an_arm_at_rest_may_be_forgotten() -> None:
         station.core.close()
 
 
+@pytest.mark.thorough
 def test_records_of_a_motion_that_nobody_takes_end_it() -> None:
     station = Station(kept_s=0.3)
     try:
@@ -362,6 +365,7 @@ def test_records_of_a_motion_that_nobody_takes_end_it() -> None:
         station.core.close()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("end", ["rest", "close"])
 def test_axes_that_stay_in_quick_stop_are_off_when_we_leave(station: Station, end: str) -> None:
     station.ready()
@@ -400,6 +404,7 @@ def test_sync_that_is_later_than_a_period_and_a_half_is_flagged_and_ends_nothing
     assert real_time.player.moving
 
 
+@pytest.mark.thorough
 def test_without_deadlines_no_sync_is_late(station: Station) -> None:
     station.ready()
     station.move(rows=100_000)

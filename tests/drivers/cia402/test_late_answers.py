@@ -13,8 +13,6 @@ from hil_drivers.cia402.can_cycle import CONFIRMED, CanCyclic
 from hil_drivers.cia402.mapping import MINIMAL
 from hil_drivers.cia402.supervisor import Judge
 
-pytestmark = pytest.mark.quick
-
 NODES = (1, 2)
 PERIOD_S = 0.004
 USUAL_S = 2e-4

@@ -17,8 +17,6 @@ from hil_drivers.cia402.can_cycle import quick_stop_frames, require_no_master, s
 from hil_drivers.cia402.options import Options, options_of
 from tests.drivers.cia402.test_can_cyclic import Cycles, all_answers, tpdo1
 
-pytestmark = pytest.mark.quick
-
 NODES, MASTER = (3, 7), 127
 ENABLE = b"\x0f\x00\x08\x00\x00\x00\x00"
 _numbers = itertools.count(1)

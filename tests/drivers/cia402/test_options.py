@@ -11,8 +11,6 @@ from hil.core.errors import SpecError
 from hil_drivers.cia402.can_channel import SIMULATED, BusLog
 from hil_drivers.cia402.options import options_of
 
-pytestmark = pytest.mark.quick
-
 BUS = {"interface": "hil_unix", "channel": "can7"}
 REAL = {"interface": "socketcan", "channel": "can0"}
 

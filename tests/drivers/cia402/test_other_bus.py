@@ -6,7 +6,6 @@ import threading
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-import pytest
 
 from hil.arms import load_arm
 from hil.robot import Finding
@@ -21,8 +20,6 @@ from hil_drivers.cia402.torque import TorqueModel
 from hil_mock_robot.cia402.dictionary import registers_of
 from hil_mock_robot.cia402.keys import key
 from tests.support.cia402_parts import ENABLED, OFF, FakeDrives
-
-pytestmark = pytest.mark.quick
 
 ARM = load_arm("lab6")
 GIVEN = {"bus": {"interface": "hil_unix", "channel": "none"}, "pace": "free"}

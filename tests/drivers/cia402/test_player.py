@@ -10,8 +10,6 @@ from hil_drivers.cia402.bus import Inputs, Outputs
 from hil_drivers.cia402.player import FADE_S, HOLDING, MOVING, Gains, Player, Track
 from tests.support.cia402_parts import CSP, CST, PERIOD_S
 
-pytestmark = pytest.mark.quick
-
 CSV = 9
 N = 2
 RAD = 1e-6

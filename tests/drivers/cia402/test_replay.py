@@ -83,7 +83,6 @@ def test_an_emergency_is_the_fault_of_the_records_until_it_is_over() -> None:
     assert found["fault_code"].tolist() == [0, 0x8611, 0]
 
 
-@pytest.mark.quick
 def test_a_log_of_something_else_is_told(tmp_path: Path) -> None:
     log = tmp_path / "other.log"
     log.write_text("(1.000000) can0 701#05\n")
@@ -167,6 +166,7 @@ def test_the_log_of_a_run_replays_into_the_same_dataset(tmp_path: Path) -> None:
         assert json.loads((made / "stop.json").read_text())["outcome"] == "failed"
 
 
+@pytest.mark.thorough
 def test_only_drivers_whose_wire_tells_all_replay(tmp_path: Path) -> None:
     (tmp_path / "spec.yaml").write_text(yaml.safe_dump(SPEC | {"robot": "lab6"}), "utf-8")
     hil(tmp_path, "run", "spec.yaml")

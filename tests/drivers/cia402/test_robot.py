@@ -30,8 +30,6 @@ from hil_drivers.cia402.rows import TOPIC
 from hil_drivers.cia402.session import Thermometer, Trouble
 from hil_drivers.cia402.torque import TorqueModel
 
-pytestmark = pytest.mark.quick
-
 ARM = load_arm("lab6")
 PROFILES = [AxisProfile(1 << 20, float(gear), 2.0, 1.0) for gear in ARM.gear_ratio]
 SCALING = Scaling(PROFILES)

@@ -284,7 +284,6 @@ def test_a_declared_load_is_felt_by_the_drives(free_axes) -> None:
     assert np.abs(after - before)[1:3].max() > 10.0
 
 
-@pytest.mark.quick
 def test_rows_have_temperatures_and_every_integer_is_recorded(free_axes) -> None:
     axes = free_axes
     rows = follow(axes, move(axes, 0.1))
@@ -340,6 +339,7 @@ def run(mock: MockCan, folder: Path, **more: Any) -> subprocess.Popen[str]:
     return subprocess.Popen(command, cwd=folder, start_new_session=True, **pipes)
 
 
+@pytest.mark.journey
 def test_an_experiment_runs_over_can_frames_without_a_gap(mock, tmp_path) -> None:
     with run(mock, tmp_path, pace="free") as process:
         out, err = process.communicate(timeout=100)

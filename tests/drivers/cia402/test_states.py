@@ -15,8 +15,6 @@ from hil_drivers.cia402.axis import (
     statusword_text,
 )
 
-pytestmark = pytest.mark.quick
-
 # CiA 402-2, statusword bits 6 5 3 2 1 0, x for "whatever"; written out, not computed.
 PATTERNS = {
     "0x0000": State.NOT_READY,

@@ -14,8 +14,6 @@ from hil_drivers.cia402.supervisor import Phase
 from hil_drivers.cia402.torque import GravityComparison
 from tests.support.cia402_parts import CSP, CST, PERIOD_S, Rig
 
-pytestmark = pytest.mark.quick
-
 RAD = 1e-6
 BOUNDS = {CSP: (4.0, "2 × following_error_deg"), CST: (10.0, "tracking_deg")}
 N = 2

@@ -15,8 +15,6 @@ from hil_drivers.cia402.session import Trouble
 from hil_mock_robot.cia402.keys import key
 from tests.support.cia402_drives import drives
 
-pytestmark = pytest.mark.quick
-
 ROWS = np.array([(0,)], dtype=[("status", "<u2")])
 
 

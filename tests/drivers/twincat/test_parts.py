@@ -19,8 +19,6 @@ from hil_mock_robot.twincat.faults import PlcFault, Target
 from hil_mock_robot.twincat.memory import Memory, contract, declared_in
 from hil_mock_robot.twincat.program import Ramp, Trajectory
 
-pytestmark = pytest.mark.quick
-
 LAYOUT = layout_of(6)
 ROWS = 1000
 

@@ -54,6 +54,7 @@ def robot(plc: MockPlc) -> Iterator[TwinCatRobot]:
     made.close()
 
 
+@pytest.mark.journey
 def test_a_second_and_a_thousand_rows_none_missing_none_twice(robot):
     """Read at odd moments, in odd portions, while the arm moves."""
     robot.prepare(move(robot, 0.4, "trajectory"))
@@ -72,7 +73,7 @@ def test_a_second_and_a_thousand_rows_none_missing_none_twice(robot):
     assert len(rows) / len(blocks) >= 100  # each request is worth its millisecond
 
 
-@pytest.mark.quick
+@pytest.mark.journey
 def test_what_is_played_is_what_was_planned_to_the_last_bit(robot):
     segment = move(robot, 0.2, "trajectory")
     rows = follow(robot, segment)

@@ -14,8 +14,6 @@ from hil_drivers.ur import control as module
 from hil_drivers.ur.control import Control
 from tests.support.ur_mock import loopback
 
-pytestmark = pytest.mark.quick
-
 
 class Interface:
     """Says `answer` to everything, and keeps what it was called with."""

@@ -24,8 +24,6 @@ from hil_drivers.ur.robot import Standing, UrRobot, Watch
 from hil_drivers.ur.servo import CATCH_UP, LagWatch, SetPointFeed
 from hil_drivers.ur.state import TOPIC, fault_of
 
-pytestmark = pytest.mark.quick
-
 TICK_S = 0.008
 
 

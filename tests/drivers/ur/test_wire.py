@@ -99,6 +99,7 @@ def first(journal, event, after=0.0, **details):
     raise AssertionError(f"no {event} {details} in {[line['event'] for line in journal][-30:]}")
 
 
+@pytest.mark.journey
 def test_every_state_of_the_controller_arrives_once(robot):
     rows = [robot.read()]
     while sum(map(len, rows)) < 250:
@@ -117,7 +118,6 @@ def test_it_says_which_arm_it_is(robot, mock):
     assert robot.resource == f"ur://{mock.address}"
 
 
-@pytest.mark.quick
 def test_a_trajectory_is_followed_to_its_end(robot):
     asked = trajectory(robot)
     mine = follow(robot, asked)
@@ -144,6 +144,7 @@ def test_a_move_to_where_it_stands_is_over_at_once(robot):
     assert not mine[-1]["status"] & Status.MOVING
 
 
+@pytest.mark.journey
 def test_trajectories_moves_and_holds_follow_each_other(robot):
     for make in (lambda r: trajectory(r, 0.1), lambda r: move(r, 0.1), hold, hold, trajectory):
         follow(robot, make(robot))

@@ -9,8 +9,6 @@ from hil_mock_robot.cia402 import keys
 from hil_mock_robot.cia402.power import COASTING_STEPS, POWERED, State
 from tests.support.can_drive_parts import OneDrive
 
-pytestmark = pytest.mark.quick
-
 WORDS = (0x00, 0x02, 0x06, 0x07, 0x0F, 0x0F, 0x1F, 0x3F, 0x5F, 0x80, 0x86, 0x10F, 0x11F)
 SETTINGS = (
     (keys.MODE, (0, 1, 3, 6, 8, 9, 10)),

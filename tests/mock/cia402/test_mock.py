@@ -72,7 +72,6 @@ def events(path: Path) -> list[tuple[str, object]]:
     return [(line["event"], next((line[k] for k in keys if k in line), None)) for line in lines]
 
 
-@pytest.mark.quick
 def test_the_journal_tells_of_commands_faults_and_rest(tmp_path: Path) -> None:
     journal = tmp_path / "journal"
     with mock(journal=journal) as (drives, master):

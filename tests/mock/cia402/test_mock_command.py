@@ -19,8 +19,6 @@ from hil_mock_robot.cia402.bus import HubEnd, end_of, side_path
 from hil_mock_robot.cia402.mock import main, nodes_of, parser_of
 from hil_mock_robot.server.options import mounted_of, pose_of
 
-pytestmark = pytest.mark.quick
-
 ARM = load_arm("lab6")
 
 

@@ -329,7 +329,6 @@ def test_what_lasts_is_in_the_state_until_it_is_over(
     assert all(status & 0x1000 for status in master.status)
 
 
-@pytest.mark.quick
 def test_every_kind_of_fault_can_be_asked_for_and_cleared(
     anew: tuple[HostedMock, Master],
 ) -> None:

@@ -46,6 +46,7 @@ def events(journal: list[dict[str, object]], *names: str) -> list[dict[str, obje
     return [line for line in journal if line["event"] in names]
 
 
+@pytest.mark.journey
 def test_six_axes_follow_set_points_between_two_processes(tmp_path: Path) -> None:
     with mock_can(journal=tmp_path / "journal") as mock, mock.bus() as bus:
         master = Master(bus)

@@ -11,8 +11,6 @@ import pytest
 from hil_mock_robot.cia402.keys import key
 from tests.support.can_node_parts import NODE, STOP, Bench
 
-pytestmark = pytest.mark.quick
-
 NO_OBJECT, NO_SUB_INDEX = 0x0602_0000, 0x0609_0011
 WRITE_ONLY, READ_ONLY = 0x0601_0001, 0x0601_0002
 LENGTH, RANGE, STATE, INCOMPATIBLE = 0x0607_0010, 0x0609_0030, 0x0800_0022, 0x0604_0043

@@ -176,6 +176,7 @@ def test_a_journal_is_continued_by_the_next_connection_and_the_next_process(path
     assert [line["event"] for line in read_journal(path)] == ["connect", "close", "closed"] * 2
 
 
+@pytest.mark.thorough
 def test_lines_survive_a_killed_process(path):
     code = (
         "import os, signal; from hil_mock_robot.embedded.robot import MockRobot\n"

@@ -52,6 +52,7 @@ def slow_cycle(amplitude, steps=2000):
     return np.diff(position) / DT
 
 
+@pytest.mark.thorough
 def test_hysteresis_loop_closes():
     joint = Joint(viscous_nm=0.0, creep_s=1e9)
     joint.run(slow_cycle(5e-4))

@@ -12,8 +12,6 @@ from hil_mock_robot.plant.model import build_plant
 from hil_mock_robot.plant.records import MOUNTS
 from hil_mock_robot.plant.truth import draw_truth
 
-pytestmark = pytest.mark.quick
-
 LOAD = Payload(2.5, (0.02, -0.01, 0.06), (0.01, 0.012, 0.008, 0.001, -0.0005, 0.0002))
 
 

@@ -72,7 +72,6 @@ def test_started_by_itself_it_says_how(capsys):
     assert capsys.readouterr().out.startswith("usage: python -m hil_mock_robot ur ")
 
 
-@pytest.mark.quick
 def test_a_serial_number_is_digits(capsys):
     assert serial_of("2022050001") == "2022050001"
     assert main(["--serial", "abc"]) == 2

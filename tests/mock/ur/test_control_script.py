@@ -563,7 +563,7 @@ def test_a_contact_that_is_watched_for_ends_the_move():
     assert client.out_int(1) != 0
 
 
-@pytest.mark.quick
+@pytest.mark.thorough
 @pytest.mark.parametrize("arm", ["ur5", "ur5e"])
 @pytest.mark.parametrize("scale", [1e-300, 1.0, 1e3, 1e30, 1e307])
 def test_no_command_crashes_whatever_its_registers_hold(arm, scale):

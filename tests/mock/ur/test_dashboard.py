@@ -447,7 +447,6 @@ LINES = st.one_of(
 )
 
 
-@pytest.mark.quick
 @examples(100)
 @given(lines=st.lists(LINES, max_size=8), cuts=st.lists(st.integers(1, 200), max_size=5))
 def test_any_line_gets_one_reply_however_it_is_cut(lines, cuts):

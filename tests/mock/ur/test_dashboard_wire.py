@@ -60,6 +60,7 @@ def cb3():
         yield where
 
 
+@pytest.mark.journey
 def test_the_dashboard_client_learns_what_it_talks_to(e_series):
     with desk(e_series) as client:
         assert client.isConnected()

@@ -18,8 +18,6 @@ from hil_mock_robot.ur.rtde import Ownership
 from hil_mock_robot.ur.rtde_wire import Framer, Kind, Line, package
 from tests.support.ur_machine import Wire, machine_of, movej, pass_time
 
-pytestmark = pytest.mark.quick
-
 TICK = 0.008
 
 

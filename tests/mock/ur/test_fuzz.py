@@ -243,7 +243,6 @@ def sound(controller):
     assert b"Robotmode: " in controller.clients[DASHBOARD][0].sent
 
 
-@pytest.mark.quick
 @pytest.mark.parametrize("arm", ["ur5", "ur5e"])
 @examples(15)
 @given(st.booleans(), st.lists(said, min_size=1, max_size=25))
@@ -265,6 +264,7 @@ def test_no_client_ends_or_stops_the_controller(arm, controlled, talks):
     controller.close()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("number", AWKWARD)
 def test_no_command_of_the_control_script_stumbles_over_a_number(number):
     controller = Controller("ur5e", os.devnull)

@@ -16,8 +16,6 @@ from hil_mock_robot.ur.side import SideService
 from tests.support.ur_machine import Wire, machine_of, movej, pass_time
 from tests.support.ur_raw import Raw, address
 
-pytestmark = pytest.mark.quick
-
 
 class Wrong(Exception):
     """Nobody foresaw that."""

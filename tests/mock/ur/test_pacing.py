@@ -11,8 +11,6 @@ from hil_mock_robot.ur.journal import Witness
 from hil_mock_robot.ur.side import SideService
 from tests.support.ur_machine import Wire, machine_of
 
-pytestmark = pytest.mark.quick
-
 
 @pytest.fixture
 def clock(monkeypatch):

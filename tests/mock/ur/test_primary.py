@@ -319,6 +319,7 @@ def titles_of(data):
     return told
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("arm", ["ur5", "ur5e"])
 @pytest.mark.parametrize("powered", [True, False])
 def test_the_send_script_example_of_urs_client_library(arm, powered):

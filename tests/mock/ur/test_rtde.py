@@ -276,6 +276,7 @@ def test_a_client_pauses_and_starts_again(controller):
         assert raw.read()["timestamp"] > before + 0.2
 
 
+@pytest.mark.journey
 def test_a_control_loop_writes_set_points_and_reads_them_back(controller):
     """As UR's example of a control loop does, with a watchdog and its own recipe ids."""
     points = [f"input_double_register_{i}" for i in range(6)]

@@ -51,7 +51,6 @@ def pose(values):
     return "p" + bracketed(values)
 
 
-@pytest.mark.quick
 @pytest.mark.parametrize(
     ("expression", "expected"),
     [
@@ -189,6 +188,7 @@ def test_functions_that_this_software_lacks_are_names_it_does_not_know():
     assert event.place.token == "compile_error_name_not_found:set_target_payload:"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("mode", [0, 1])
 def test_movec_keeps_to_the_circle_at_its_speed(mode):
     station = Station("ur5e")

@@ -391,6 +391,7 @@ def passed(station, seconds=3.0):
     return station.machine.modes.robot
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("arm", ["ur5", "ur5e"])
 @pytest.mark.parametrize("powered", [True, False])
 def test_power_lines_are_obeyed_and_are_no_programs(arm, powered):
@@ -540,6 +541,7 @@ WORDS = [
 ONE = machine_of("ur5e")
 
 
+@pytest.mark.thorough
 @examples(200)
 @given(
     st.one_of(

@@ -419,6 +419,7 @@ def conversations(draw):
     return b"".join(draw(st.lists(said, max_size=15)))
 
 
+@pytest.mark.thorough
 @examples(300)
 @given(conversations(), st.lists(st.integers(1, 50), min_size=1))
 def test_any_bytes_cut_anywhere_are_answered_the_same_and_harm_nobody(stream, cuts):

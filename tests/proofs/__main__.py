@@ -1,0 +1,208 @@
+"""Run proofs and remember what they showed: `make proof`, or `make proof UNIT="static ur"`.
+
+Without names those run that are stale (`units.py`), shortest first. A unit's result is written to
+`state.json` when it ends, so that a call that was broken off goes on where it was; the table of
+`docs/reference/proofs.md` is made from it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+import re
+import subprocess
+import sys
+import time
+import tomllib
+from collections.abc import Mapping, Sequence
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+from tests.proofs.units import UNITS, Unit
+from tests.support.paths import DOCS, ROOT
+
+STATE = Path(__file__).with_name("state.json")
+PAGE = DOCS / "reference" / "proofs.md"
+BEGIN, END = "<!-- table: make proof -->", "<!-- end of table -->"
+ALWAYS = ("drivers/hil_drivers/**/*", "mock_robot/hil_mock_robot/**/*", "tests/support/*")
+MOST_FIGURES = 12
+"""Printed lines that are kept of a unit."""
+
+_NOISE = re.compile(
+    r"[.sFEx]*\s*\[ *\d+%\]|[.sFEx]+|=+.*|-+.*|tests/\S+ .*|bringing up nodes.*|plugins?:.*"
+)
+
+State = dict[str, dict[str, Any]]
+
+
+def packages_up_to(package: str) -> list[str]:
+    """Return the packages of `hil` from the lowest up to one, in the order of `pyproject.toml`."""
+    document = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
+    contracts = document["tool"]["importlinter"]["contracts"]
+    layers = next(contract["layers"] for contract in contracts if contract["type"] == "layers")
+    return list(layers[layers.index(package) :])
+
+
+def inputs_of(unit: Unit) -> list[Path]:
+    """Return the files that a unit's result depends on."""
+    patterns = [*ALWAYS, *unit.further]
+    patterns += [f"hil/{package}/**/*" for package in packages_up_to(unit.package)]
+    patterns += ["hil/api.py"] if unit.package == "cli" else []
+    for test in unit.tests:
+        patterns.append(f"{test}/**/*.py" if (ROOT / test).is_dir() else test)
+    found = {path for pattern in patterns for path in ROOT.glob(pattern)}
+    return sorted(
+        path
+        for path in found
+        if path.is_file() and "__pycache__" not in path.parts and path.suffix != ".pyc"
+    )
+
+
+def digest_of(unit: Unit) -> str:
+    """Return the SHA-256 of how a unit is run and of the names and contents of its inputs."""
+    digest = hashlib.sha256(" ".join(unit.run).encode())
+    for path in inputs_of(unit):
+        digest.update(b"\0" + path.relative_to(ROOT).as_posix().encode() + b"\0")
+        digest.update(hashlib.sha256(path.read_bytes()).digest())
+    return digest.hexdigest()[:16]
+
+
+def is_stale(unit: Unit, state: Mapping[str, Mapping[str, Any]]) -> bool:
+    """Whether a unit has not passed with its inputs as they are now."""
+    last = state.get(unit.name)
+    return last is None or not last["passed"] or last["inputs"] != digest_of(unit)
+
+
+def read_state() -> State:
+    """Return what is known of each unit, by its name."""
+    return json.loads(STATE.read_text("utf-8")) if STATE.exists() else {}
+
+
+def write_state(state: State) -> None:
+    """Write what is known, whole or not at all, and the table of the page."""
+    order = {unit.name: place for place, unit in enumerate(UNITS)}
+    known = {name: state[name] for name in sorted(state, key=lambda n: order.get(n, len(order)))}
+    draft = STATE.with_suffix(".draft")
+    draft.write_text(json.dumps(known, indent=1, ensure_ascii=False) + "\n", "utf-8")
+    draft.replace(STATE)
+    write_table(known)
+
+
+def table_of(state: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return the Markdown table of all units, and below it what they printed."""
+    lines = ["| unit | claim | last run | minutes | result |", "|---|---|---|---|---|"]
+    for unit in UNITS:
+        last = state.get(unit.name)
+        if last is None:
+            cells = ("not yet", f"about {unit.minutes:g}", "–")
+        else:
+            result = "passed" if last["passed"] else "**failed**"
+            when = f"{last['date']}, `{last['revision']}`"
+            cells = (when, f"{last['seconds'] / 60:.1f}", f"{result}: {last['summary']}")
+        lines.append(f"| `{unit.name}` | {unit.claim} | " + " | ".join(cells) + " |")
+    for unit in UNITS:
+        if unit.name in state and (figures := state[unit.name]["figures"]):
+            lines += ["", f"## {unit.name}", "", "```text", *figures, "```"]
+    return "\n".join(lines)
+
+
+def write_table(state: Mapping[str, Mapping[str, Any]]) -> None:
+    """Replace the table of the page."""
+    text = PAGE.read_text("utf-8")
+    before, after = text.split(BEGIN)[0], text.split(END)[1]
+    PAGE.write_text(f"{before}{BEGIN}\n\n{table_of(state)}\n\n{END}{after}", "utf-8")
+
+
+def figures_of(output: str) -> list[str]:
+    """Return the printed lines that are figures: neither progress nor pytest's own headings."""
+    lines = [line.strip() for line in output.splitlines()]
+    told = [line for line in lines if line and not _NOISE.fullmatch(line)]
+    return [line[:300] for line in told[-MOST_FIGURES:]]
+
+
+def summary_of(output: str, code: int) -> str:
+    """Return pytest's last line without its frame and times, or how a program ended."""
+    found = re.findall(r"(\d+ (?:passed|failed)[^=\n]*?) in [\d.]+s", output)
+    return found[-1] if found else f"exit code {code}"
+
+
+def revision() -> str:
+    """Return the short hash of the checkout, marked if product or tests differ from it."""
+    git = ("git", "-C", str(ROOT))
+    told = subprocess.run([*git, "rev-parse", "--short=8", "HEAD"], capture_output=True, text=True)
+    changed = subprocess.run(
+        [*git, "status", "--porcelain", "--", "hil", "drivers", "mock_robot", "benchmarks"],
+        capture_output=True,
+        text=True,
+    )
+    return told.stdout.strip() + ("+" if changed.stdout.strip() else "")
+
+
+def run_unit(unit: Unit, state: State) -> bool:
+    """Run a unit, write down what came of it, and return whether it passed."""
+    inputs, began = digest_of(unit), time.monotonic()
+    sys.stdout.write(f"\n== {unit.name}: {unit.claim} (about {unit.minutes:g} min)\n")
+    sys.stdout.flush()
+    threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+    with subprocess.Popen(
+        [sys.executable, *unit.run],
+        cwd=ROOT,
+        env=threads | os.environ,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    ) as process:
+        assert process.stdout is not None
+        output = ""
+        for line in process.stdout:
+            output += line
+            sys.stdout.write(line)
+            sys.stdout.flush()
+        code = process.wait()
+    state[unit.name] = {
+        "passed": code == 0,
+        "summary": summary_of(output, code),
+        "revision": revision(),
+        "inputs": inputs,
+        "date": date.today().isoformat(),
+        "seconds": round(time.monotonic() - began, 1),
+        "cores": os.cpu_count(),
+        "figures": figures_of(output),
+    }
+    write_state(state)
+    return code == 0
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the units that are named, or those that are stale; return 1 if one of them failed."""
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.proofs", description=(__doc__ or "")[:72]
+    )
+    parser.add_argument(
+        "units", nargs="*", help="names of units; without any, those that are stale"
+    )
+    parser.add_argument("--list", action="store_true", help="say what is stale and run nothing")
+    given = parser.parse_args(arguments)
+    by_name = {unit.name: unit for unit in UNITS}
+    if unknown := sorted(set(given.units) - set(by_name)):
+        parser.error(f"no unit {', '.join(unknown)}; there are {', '.join(by_name)}")
+    state = read_state()
+    if given.list:
+        for unit in UNITS:
+            stale = "stale" if is_stale(unit, state) else "passed"
+            sys.stdout.write(f"{unit.name:18} {stale:7} {unit.minutes:4g} min  {unit.claim}\n")
+        return 0
+    chosen = [by_name[name] for name in given.units] or sorted(
+        (unit for unit in UNITS if is_stale(unit, state)), key=lambda unit: unit.minutes
+    )
+    failed = [unit.name for unit in chosen if not run_unit(unit, state)]
+    sys.stdout.write(f"\n{len(chosen) - len(failed)} of {len(chosen)} units passed")
+    sys.stdout.write(f"; failed: {', '.join(failed)}\n" if failed else "\n")
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,111 @@
+"""The runner of the proofs: what is stale, what is remembered, what the table says."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.proofs import __main__ as runner
+from tests.proofs.units import UNITS, Unit
+from tests.support.paths import ROOT
+
+MARK = "mark." + "proof"
+
+
+@pytest.fixture
+def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A small checkout with two units: one that passes, one that does as `outcome.txt` says."""
+    (tmp_path / "pyproject.toml").write_bytes((ROOT / "pyproject.toml").read_bytes())
+    for name in ("hil/core/a.py", "hil/studies/b.py", "hil/cli/c.py", "docs/other.md"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("1")
+    page = tmp_path / "docs" / "proofs.md"
+    page.write_text(f"Before.\n\n{runner.BEGIN}\n{runner.END}\n\nAfter.\n")
+    (tmp_path / "outcome.txt").write_text("0")
+    ends = "import sys; print('ratio 3.5'); sys.exit(int(open('outcome.txt').read()))"
+    units = (
+        Unit("good", "one is one", ("-c", "print('12 passed in 3.00s')"), 1.0, "studies"),
+        Unit("odd", "it ends well", ("-c", ends), 0.5, "core", ("outcome.txt",)),
+    )
+    for name, value in {
+        "ROOT": tmp_path, "STATE": tmp_path / "state.json", "PAGE": page, "UNITS": units,
+    }.items():  # fmt: skip
+        monkeypatch.setattr(runner, name, value)
+    return tmp_path
+
+
+def stale() -> list[str]:
+    state = runner.read_state()
+    return [unit.name for unit in runner.UNITS if runner.is_stale(unit, state)]
+
+
+def test_what_has_passed_is_stale_only_when_an_input_changes(checkout: Path) -> None:
+    assert stale() == ["good", "odd"]
+    assert runner.main([]) == 0
+    assert stale() == []
+    for name, now in (
+        ("docs/other.md", []),
+        ("hil/cli/c.py", []),
+        ("hil/studies/b.py", ["good"]),
+        ("hil/core/a.py", ["good", "odd"]),
+    ):
+        (checkout / name).write_text("2")
+        assert stale() == now, name
+
+
+def test_a_failure_is_remembered_and_runs_again(
+    checkout: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (checkout / "outcome.txt").write_text("3")
+    assert runner.main([]) == 1
+    assert "failed: odd" in capfd.readouterr().out
+    assert stale() == ["odd"]
+    assert runner.read_state()["odd"]["summary"] == "exit code 3"
+    (checkout / "outcome.txt").write_text("0")
+    assert runner.main([]) == 0
+    assert "good: one is one" not in capfd.readouterr().out
+    assert stale() == []
+
+
+def test_the_table_has_every_unit_and_what_it_printed(checkout: Path) -> None:
+    assert runner.main(["odd"]) == 0
+    page = runner.PAGE.read_text("utf-8")
+    assert page.startswith("Before.")
+    assert page.endswith("After.\n")
+    assert "| `good` | one is one | not yet | about 1 | – |" in page
+    assert "passed: exit code 0" in page
+    assert "## odd\n\n```text\nratio 3.5\n```" in page
+
+
+def test_a_unit_that_does_not_exist_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        runner.main(["statics"])
+    assert "no unit statics" in capsys.readouterr().err
+
+
+def test_the_committed_table_is_of_the_committed_state() -> None:
+    text = runner.PAGE.read_text("utf-8")
+    between = text.split(runner.BEGIN)[1].split(runner.END)[0]
+    assert between.strip() == runner.table_of(runner.read_state())
+
+
+def test_every_test_that_is_marked_as_a_proof_belongs_to_a_unit() -> None:
+    files = {test for unit in UNITS for test in unit.tests}
+    marked = {
+        path.relative_to(ROOT).as_posix()
+        for path in (ROOT / "tests").rglob("test_*.py")
+        if MARK in path.read_text("utf-8")
+    }
+    missing = [
+        name for name in marked if not any(re.match(rf"{file}(/|$)", name) for file in files)
+    ]
+    assert missing == []
+
+
+def test_units_have_names_of_their_own_and_files_that_exist() -> None:
+    assert len({unit.name for unit in UNITS}) == len(UNITS)
+    for unit in UNITS:
+        assert runner.inputs_of(unit), unit.name
+        assert [test for test in unit.tests if not (ROOT / test).exists()] == []
