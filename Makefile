@@ -56,7 +56,7 @@ test-all: test ## and all others: every wire test, each fault at one kind of ste
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "thorough and not (wire or matrix or proof or journey)" \
 	  $(call marked,thorough,tests)
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "wire and not (proof or journey)" \
-	  $(call marked,wire,tests) $(CAN_TESTS:%=--ignore=%)
+	  $$(printf '%s\n' $(call marked,wire,tests) | grep -vE '^(tests/can|tests/mock/cia402|tests/drivers/(cia402|twincat))/')
 	$(BIN)/python -m pytest -m "wire and not (proof or journey)" $(call marked,wire,$(CAN_TESTS))
 	$(BIN)/python -m pytest -n 2 -m "matrix and not (proof or journey)" tests/faults
 

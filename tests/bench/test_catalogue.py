@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import pytest
+
 from hil.cli.bench import measure
 
 
+@pytest.mark.thorough
 def test_the_catalogue_and_the_directories_say_the_same() -> None:
     document = measure("catalogue", quick=True)
     assert document["figures"]["runs"] == 60

@@ -7,6 +7,7 @@ import pytest
 from hil.cli.bench import measure
 
 
+@pytest.mark.thorough
 def test_the_quick_run_tells_of_everybody_from_the_same_starts(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

@@ -192,6 +192,7 @@ def test_ours_knows_the_robot_by_its_parts(quick) -> None:
     assert quick["figures"]["seed1_ours_friction_nm"] < 0.5
 
 
+@pytest.mark.thorough
 def test_no_method_is_handed_the_truth(parts) -> None:
     data = parts.networks_mock.drawn(3, quick=True).case.learn
     assert not [name for name in data.columns if "true" in name]

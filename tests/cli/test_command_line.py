@@ -46,12 +46,14 @@ def station_with(folder: Path, options: str) -> Path:
     return station
 
 
+@pytest.mark.thorough
 def test_validate_says_what_the_spec_is() -> None:
     done = hil("validate", DWELL, "--json")
     assert done.returncode == 0
     assert json.loads(done.stdout)["name"] == "ci-dwell-12"
 
 
+@pytest.mark.thorough
 def test_a_bad_spec_exits_2_with_the_place_of_every_problem(tmp_path: Path) -> None:
     spec = tmp_path / "bad.yaml"
     spec.write_text(DWELL.read_text("utf-8").replace("dwell_s:", "dwel_s:"), "utf-8")
@@ -62,6 +64,7 @@ def test_a_bad_spec_exits_2_with_the_place_of_every_problem(tmp_path: Path) -> N
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.thorough
 def test_errors_are_json_too_when_asked_for(tmp_path: Path) -> None:
     done = hil("validate", tmp_path / "none.yaml", "--json")
     assert done.returncode == 2
@@ -106,6 +109,7 @@ def test_driver_options_are_checked_before_anything_connects(tmp_path: Path, ver
     assert not (tmp_path / "runs").exists()
 
 
+@pytest.mark.thorough
 def test_a_rate_that_is_not_the_robots_is_refused_before_motion(tmp_path: Path) -> None:
     spec = tmp_path / "fast.yaml"
     spec.write_text(DWELL.read_text("utf-8") + "\nrecord: {rate_hz: 500}\n", "utf-8")
@@ -164,6 +168,7 @@ def test_fit_and_evaluate_keep_their_contract(done_run: dict[str, Any], tmp_path
     assert len(row["rmse_raw"]) == 6
 
 
+@pytest.mark.thorough
 def test_validating_on_the_training_data_is_refused(done_run: dict[str, Any]) -> None:
     run = done_run["run"]
     done = hil("fit", run, "-e", "static-wls", "--validate", run, "--json")
@@ -184,6 +189,7 @@ def test_evaluating_on_the_training_data_is_refused(
     assert "has not seen" in error["hint"]
 
 
+@pytest.mark.thorough
 def test_unknown_estimators_are_guessed() -> None:
     done = hil("fit", "nowhere", "-e", "static-wsl")
     assert done.returncode in (2, 8)
@@ -251,6 +257,7 @@ def test_signals_stop_the_run_and_keep_its_data(tmp_path: Path, numbers: list[in
     assert "Traceback" not in err
 
 
+@pytest.mark.thorough
 def test_an_interrupted_plan_prints_one_document(tmp_path: Path) -> None:
     with subprocess.Popen(
         [sys.executable, "-c", INTERRUPTED, "plan", str(DWELL), "--json"],
@@ -282,6 +289,7 @@ def _running(runs: Path) -> bool:
     return any('"running"' in log.read_text("utf-8") for log in logs)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("arguments", "code"),
     [("schema", 0), ("runs", 0), ("--help", 0), ("validate nowhere.yaml --json", 2)],
@@ -295,6 +303,7 @@ def test_a_reader_that_leaves_changes_nothing(arguments: str, code: int) -> None
     assert "BrokenPipe" not in done.stderr
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
 @pytest.mark.parametrize("arguments", ["schema", "runs", "runs --json"])
 def test_output_that_cannot_be_written_exits_7(arguments: str) -> None:
@@ -333,6 +342,7 @@ def test_what_cannot_be_written_is_one_line_and_exit_7(arguments: Any, tmp_path:
     assert not [path for path in tmp_path.rglob("*") if path.suffix in (".partial", ".draft")]
 
 
+@pytest.mark.thorough
 def test_a_model_or_report_that_cannot_be_written_exits_7(
     done_run: dict[str, Any], tmp_path: Path
 ) -> None:
@@ -360,6 +370,7 @@ def test_a_file_is_no_folder_of_runs_but_a_missing_folder_holds_none(tmp_path: P
     assert "hil run SPEC" in empty.stdout
 
 
+@pytest.mark.thorough
 def test_show_verify_tells_changed_and_missing_files(
     done_run: dict[str, Any], tmp_path: Path
 ) -> None:
@@ -385,6 +396,7 @@ def test_the_mock_writes_its_truth(tmp_path: Path) -> None:
     assert "friction" in truth.read_text("utf-8")
 
 
+@pytest.mark.thorough
 def test_doctor_asks_the_robots_of_a_station() -> None:
     done = hil("doctor", "--station", "experiments/stations/mock.yaml")
     assert done.returncode == 0, done.stdout
@@ -437,6 +449,7 @@ def test_recordings_are_found_by_the_number_of_their_run(
     assert hil("fit", "7", "-e", "static-wls", *where).returncode == 8
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("waiver", "told"), [("disk", "gives no reason"), ("nope=because", "names no check")]
 )

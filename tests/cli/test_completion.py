@@ -99,6 +99,7 @@ def test_another_folder_of_runs_is_looked_into_when_it_stands_before(bench: Path
     assert complete("bash", bench, "hil", "show", "--runs", "old", "") == ["0003-old"]
 
 
+@pytest.mark.thorough
 def test_only_runs_are_offered_where_runs_are_asked(bench: Path) -> None:
     day = bench / "runs" / "2026-11-21"
     for other in ("simulations/simulation-weekly", "series/two-loads", "ur5/compared"):
@@ -160,6 +161,7 @@ print(*sys.modules, sep="\\n", file=sys.stderr)
 """
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("words", ["show 0", "run mi", "bench st"])
 def test_completion_loads_nothing_heavy(bench: Path, words: str) -> None:
     code = HEAVY.replace("TYPED", words)

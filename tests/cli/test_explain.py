@@ -107,6 +107,7 @@ def test_a_slip_is_guessed_at() -> None:
     assert error.hint == "did you mean 'excitation.dwell_s'?"
 
 
+@pytest.mark.thorough
 def test_every_exit_code_is_explained() -> None:
     raised = [error for error in vars(errors).values() if isinstance(error, type)]
     for error in raised:

@@ -23,6 +23,7 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return save_model(fitted, tmp_path_factory.mktemp("models") / "model")
 
 
+@pytest.mark.thorough
 def test_a_model_becomes_a_folder_of_c(model: Path, tmp_path: Path) -> None:
     done = CliRunner().invoke(app, ["export", str(model), "-o", str(tmp_path / "c")])
     assert done.exit_code == 0, done.output
@@ -31,6 +32,7 @@ def test_a_model_becomes_a_folder_of_c(model: Path, tmp_path: Path) -> None:
     assert (tmp_path / "c" / "hil.c").is_file()
 
 
+@pytest.mark.thorough
 def test_json_says_what_was_written(model: Path, tmp_path: Path) -> None:
     command = ["export", str(model), "-o", str(tmp_path / "c"), "--prefix", "arm", "--json"]
     done = CliRunner().invoke(app, command)

@@ -124,6 +124,7 @@ def test_one_document_is_printed_when_nothing_is_there(
         assert "error" not in document
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("verb", sorted(set(VERBS) - set(WITHOUT_JSON)))
 def test_a_mistake_in_the_command_line_is_one_document(
     verb: str, empty: Path, monkeypatch: pytest.MonkeyPatch
@@ -140,6 +141,7 @@ def test_a_mistake_in_the_command_line_is_one_document(
 LISTS = ("runs", "models list", "robots", "bench list", "mock list", "plugins")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("verb", LISTS)
 @pytest.mark.parametrize("columns", [40, 60])
 def test_lists_fit_a_narrow_terminal(

@@ -68,6 +68,7 @@ def test_an_ordinary_plan_has_no_warnings_and_a_poor_one_says_so(tmp_path: Path)
     assert "condition number" in done.stdout.partition("warning: ")[2]
 
 
+@pytest.mark.thorough
 def test_import_never_replaces_a_file_and_says_how_to_go_on(tmp_path: Path) -> None:
     (tmp_path / "out.mcap").write_text("mine")
     done = importing(tmp_path, "out.mcap")

@@ -205,6 +205,7 @@ def invoke(*words: str) -> Result:
     return CliRunner().invoke(app, list(words))
 
 
+@pytest.mark.thorough
 def test_the_first_champion_needs_no_recording_and_is_exported_by_name(
     runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

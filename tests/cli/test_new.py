@@ -70,6 +70,7 @@ def test_everything_is_valid_and_names_a_schema_that_is_there(kind: str) -> None
         assert invoke("validate", str(files[0]), *station).exit_code == 0
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", DRAFT_KINDS)
 def test_comments_stay_in_their_column(kind: str) -> None:
     for file in written(kind):
@@ -112,6 +113,7 @@ def test_an_arm_of_ones_own_runs_as_a_mock() -> None:
     assert load_station(report.run / "station.yaml").robots["own_arm"].model == str(arm.resolve())
 
 
+@pytest.mark.thorough
 def test_a_run_goes_on_and_is_fitted_only_with_the_arm_it_was_recorded_with() -> None:
     spec, station, arm, *_ = written("own-urdf")
     fewer = {"excitation.trajectories": "3", "warm_up.duration_s": "1", "fit": "[]"}
@@ -263,6 +265,7 @@ def test_a_file_with_a_number_for_a_name_is_valid() -> None:
     assert load_spec("2026.yaml").name == "2026"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("urdf", ["my: arm #2.urdf", "a\nb.urdf", 'it\'s "x".urdf', "@name@.urdf"])
 def test_any_urdf_can_be_named(urdf: str) -> None:
     Path(urdf).write_text(URDF.read_text())

@@ -43,6 +43,7 @@ def refused(*words: str) -> str:
     return error.message
 
 
+@pytest.mark.thorough
 def test_a_run_has_the_values_it_was_made_with_and_goes_on_with_them(spec: Path) -> None:
     done = invoke("run", "spec.yaml", *FIT, "--json")
     run = Path(json.loads(done.stdout)["run"])

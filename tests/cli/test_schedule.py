@@ -249,6 +249,7 @@ def test_a_calendar_without_such_a_day_is_refused(cron: str, mistake: str) -> No
         assert error is None
 
 
+@pytest.mark.thorough
 def test_a_trip_is_shown_until_it_is_released(monkeypatch: pytest.MonkeyPatch) -> None:
     write("nightly.yaml", SCHEDULE.format(every="1min") + "notify: [sh, -c, 'cat >> notices']\n")
     done = working(monkeypatch, InterlockTripped("elbow: 31 A"))

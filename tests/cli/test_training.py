@@ -106,12 +106,14 @@ def whole(sources: list[Path], tmp_path_factory: pytest.TempPathFactory) -> dict
     return fitted(sources, tmp_path_factory.mktemp("models"))
 
 
+@pytest.mark.thorough
 def test_the_learning_curves_are_in_the_model_file(whole: dict[str, object]) -> None:
     curves = whole["model"]["fitted"]["curves"]  # type: ignore[index]
     assert len(curves["loss"]) == len(curves["validation"]) == 5
     assert curves["best"] == min([curves["untrained"], *curves["validation"]])
 
 
+@pytest.mark.thorough
 def test_ctrl_c_says_how_to_go_on_and_the_fit_ends_with_the_same_model(
     sources: list[Path],
     whole: dict[str, object],

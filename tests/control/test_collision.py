@@ -85,6 +85,7 @@ def test_a_push_at_the_flange_is_found_in_time(model, force, within_s) -> None:
     assert collision.joint == model.joint_names_[collision.index]
 
 
+@pytest.mark.thorough
 def test_the_residual_is_the_torque_of_the_push(model) -> None:
     push = Push((0.0, 60.0, 0.0), FIRST, FIRST + 40)
     data = recorded(5, motion(43, SHORT_S), noise=43, push=push)
@@ -105,6 +106,7 @@ def test_an_unknown_load_alarms_and_a_declared_one_does_not(model) -> None:
     assert told(CollisionDetector(model, LOAD), data)[0] == []
 
 
+@pytest.mark.thorough
 def test_a_declared_load_that_is_not_there_alarms(model) -> None:
     data = recorded(5, motion(44, SHORT_S), noise=44)
     assert told(CollisionDetector(model, LOAD), data)[0]
@@ -138,6 +140,7 @@ def motion_of(data, k):
     return {name: data[name][rows] for name in ("t", "q", "qd", "effort")}
 
 
+@pytest.mark.thorough
 def test_a_load_of_the_calibration_counts(model, calibration) -> None:
     loaded = [
         recorded(5, motion(seed, SHORT_S), noise=seed, mounted=LOAD, declared=LOAD)

@@ -31,11 +31,13 @@ def residuals(observer, data, push=None, gap=0.0):
     return np.array([observer.update(*row).copy() for row in rows])
 
 
+@pytest.mark.thorough
 def test_without_contact_there_is_next_to_nothing(model) -> None:
     found = residuals(MomentumObserver(model), moving(9))
     assert np.abs(found).max() < 0.15  # of torques up to 100 N·m: steps of 10 ms
 
 
+@pytest.mark.thorough
 def test_a_push_comes_through_a_first_order_filter(model) -> None:
     data = moving(9)
     alone = residuals(MomentumObserver(model, gain=GAIN), data)
@@ -55,6 +57,7 @@ def test_a_load_is_seen_until_it_is_declared(model) -> None:
     assert np.abs(known).max() < 0.2
 
 
+@pytest.mark.thorough
 def test_friction_with_memory_is_carried_along() -> None:
     """The stream's friction, whose load part hears a filtered acceleration."""
     data = moving(1, 2, 3)
@@ -64,6 +67,7 @@ def test_friction_with_memory_is_carried_along() -> None:
     assert np.sqrt(np.mean(found**2)) < 0.5
 
 
+@pytest.mark.thorough
 def test_after_a_pause_the_residual_starts_again(model) -> None:
     found = residuals(MomentumObserver(model), moving(9), PUSH, gap=2 * GAP_S)
     np.testing.assert_array_equal(found[FIRST], 0.0)

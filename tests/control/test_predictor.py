@@ -34,6 +34,7 @@ def said(predictor: Predictor) -> np.ndarray:
     return np.array([predictor.step(*one).copy() for one in zip(Q, QD, QDD, strict=True)])
 
 
+@pytest.mark.thorough
 @needs_compiler
 @pytest.mark.parametrize("load", [None, LOAD])
 def test_compiled_or_not_it_says_the_same(load, model) -> None:
@@ -127,6 +128,7 @@ def test_what_is_not_one_number_per_joint_is_refused(how, model) -> None:
                 predictor.step(*sample)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("how", [None, False])
 def test_lists_and_other_precisions_will_do(how, model) -> None:
     one, other = (Predictor(model, compiled=how) for _ in range(2))
@@ -177,6 +179,7 @@ def bent(monkeypatch, old: str, new: str) -> None:
     monkeypatch.setattr(predictor, "c_source", source)
 
 
+@pytest.mark.thorough
 @needs_compiler
 @pytest.mark.parametrize(
     ("old", "new"),

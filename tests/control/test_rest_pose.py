@@ -45,6 +45,7 @@ def under_a_ceiling():
     return arm, least_loaded(arm, near=np.radians([30.0, -60.0, 100.0, 0.0, 0.0, 0.0]))
 
 
+@pytest.mark.thorough
 def test_no_random_pose_is_better(under_a_ceiling) -> None:
     arm, found = under_a_ceiling
     q = np.random.default_rng(12).uniform(-np.pi, np.pi, (60_000, 6))
@@ -69,6 +70,7 @@ def test_the_pose_nearest_to_one_costs_hardly_more_than_the_least(under_a_ceilin
     assert np.linalg.norm(nearest.q - near) == min(away)
 
 
+@pytest.mark.thorough
 def test_an_upright_arm_loads_no_brake_and_tips_over() -> None:
     best = least_loaded(ur5(Environment(table_z=0.0)))[0]
     assert best.effort < 1e-4
@@ -76,6 +78,7 @@ def test_an_upright_arm_loads_no_brake_and_tips_over() -> None:
     assert best.fail.outcome == "tips"
 
 
+@pytest.mark.thorough
 def test_an_arm_that_hangs_from_the_ceiling_stays() -> None:
     best = least_loaded(ur5(Environment(table_z=0.0), gravity=(0.0, 0.0, 9.81)))[0]
     assert best.effort < 1e-4
@@ -83,6 +86,7 @@ def test_an_arm_that_hangs_from_the_ceiling_stays() -> None:
     assert best.fail.unstable == 0
 
 
+@pytest.mark.thorough
 def test_where_only_some_rest_poses_are_stable_one_of_them_is_shown() -> None:
     found = least_loaded(ur5(Environment(table_z=0.0), gravity=(9.81, 0.0, 0.0)))
     assert "stays" in {pose.fail.outcome for pose in found}

@@ -119,6 +119,7 @@ def test_a_torque_that_is_no_number_brakes_the_arm() -> None:
         assert arm.q == pytest.approx(way().start, abs=1e-3)
 
 
+@pytest.mark.thorough
 def test_tracking_ends_safely_when_the_arm_strays() -> None:
     asked, still = reference(), np.zeros(6)
     with bench().arm(asked.q[0]) as arm:
@@ -164,6 +165,7 @@ def test_a_network_is_asked_at_the_rate_of_its_training(monkeypatch) -> None:
     assert np.abs(slower - whole).max() < 10.0
 
 
+@pytest.mark.thorough
 def test_the_hand_carries_an_arm_whose_drives_are_off(monkeypatch) -> None:
     shorten(monkeypatch)
     with bench().arm(way().start) as arm:

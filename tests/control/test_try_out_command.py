@@ -122,6 +122,7 @@ def test_another_individual_is_warned_of_before_anything_else(asked) -> None:
     assert notes[-1].startswith("led by less than 20°")
 
 
+@pytest.mark.thorough
 def test_another_individual_that_nobody_asked_for_is_refused(tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("HIL_STATION", raising=False)

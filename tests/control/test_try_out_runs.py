@@ -49,6 +49,7 @@ def test_methods_of_the_right_names_make_no_simulated_arm(said, monkeypatch) -> 
         Arm(robot)
 
 
+@pytest.mark.thorough
 def test_every_law_has_the_same_controller_and_every_way_the_same_hand(monkeypatch) -> None:
     given = []
 

@@ -83,6 +83,7 @@ def heard(connection: socket.socket) -> bytes:
 HEAD = "POST /who HTTP/1.1\r\nHost: 127.0.0.1:8350\r\n"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("said", "status"),
     [

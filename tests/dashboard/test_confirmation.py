@@ -85,6 +85,7 @@ def real(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(MockRobot, "address", Address(AT))
 
 
+@pytest.mark.thorough
 def test_a_mock_needs_no_confirmation(desk: Desk) -> None:
     html = desk.post("check").text
     assert "to move" not in html
@@ -92,6 +93,7 @@ def test_a_mock_needs_no_confirmation(desk: Desk) -> None:
     assert desk.started[0]["confirmed"] is None
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("real")
 def test_the_form_shows_what_the_console_shows(desk: Desk) -> None:
     told = plain(desk.post("check").text)
@@ -111,6 +113,7 @@ def test_without_the_name_nothing_is_started(desk: Desk, typed: str) -> None:
     assert desk.started == []
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("real")
 def test_with_the_name_the_facts_that_were_shown_are_confirmed(desk: Desk) -> None:
     assert desk.post("start", confirm="ur5", operator="ada", **desk.shown()).status_code == 303

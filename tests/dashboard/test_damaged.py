@@ -86,6 +86,7 @@ def test_a_number_that_is_none_says_nothing(lab: Path, key: str) -> None:
         assert entry["duration_s"] is None
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("value", VALUES, ids=lambda value: str(value)[:12])
 def test_a_live_run_can_be_stopped_whatever_its_view_says(tmp_path: Path, value: object) -> None:
     run = RunDirectory.create(tmp_path / "runs", "ur5", "held")

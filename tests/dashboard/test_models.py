@@ -58,6 +58,7 @@ def spoil(file: Path, text: str) -> None:
     file.write_text(text)
 
 
+@pytest.mark.thorough
 def test_all_names_say_who_is_in_use(made: Path) -> None:
     html = seen(dashboard(made), "/models")
     assert '<a href="/models/ur5/v1">v1</a> rigid-wls' in html

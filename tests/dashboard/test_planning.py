@@ -86,6 +86,7 @@ def test_a_plan_that_takes_too_long_is_ended_and_said(
     assert not ticks_of(int(pid.read_text()))
 
 
+@pytest.mark.thorough
 def test_a_plan_has_so_much_memory_and_no_more(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -143,6 +144,7 @@ def test_the_token_is_not_handed_on(plans_as: Any, monkeypatch: pytest.MonkeyPat
     assert "HIL_TOKEN" not in answer["env"]
 
 
+@pytest.mark.thorough
 def test_a_plan_ends_with_whoever_asked_for_it(tmp_path: Path) -> None:
     spec, _ = written(tmp_path)
     asked = {**ASKED, "spec": str(spec), "overrides": dict([ENDLESS.split("=")]), "bytes": 2**32}

@@ -85,6 +85,7 @@ def starts(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
     return noted
 
 
+@pytest.mark.thorough
 def test_a_jogged_arm_is_confirmed_again(form: Form, starts: list[dict[str, Any]]) -> None:
     jogged(form.run)
     answer = form.resume()
@@ -96,6 +97,7 @@ def test_a_jogged_arm_is_confirmed_again(form: Form, starts: list[dict[str, Any]
     assert starts[0]["confirmed"]["swept"]["joints"][0]["min_rad"] < -2.6
 
 
+@pytest.mark.thorough
 def test_as_it_was_confirmed_it_goes_on_and_nothing_is_asked(
     form: Form, starts: list[dict[str, Any]]
 ) -> None:
@@ -104,6 +106,7 @@ def test_as_it_was_confirmed_it_goes_on_and_nothing_is_asked(
     assert starts == [{"operator": "bert", "confirmed": None}]
 
 
+@pytest.mark.thorough
 def test_a_mock_needs_no_confirmation(
     form: Form, starts: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -137,6 +140,7 @@ def test_what_is_not_as_confirmed_is_shown_first(
     assert starts == []
 
 
+@pytest.mark.thorough
 def test_with_the_name_the_facts_of_what_is_left_are_confirmed(
     form: Form, starts: list[dict[str, Any]], at: Callable[[str], None]
 ) -> None:
@@ -207,6 +211,7 @@ def test_a_robot_that_cannot_be_asked_where_it_stands_does_not_go_on(
     assert starts == []
 
 
+@pytest.mark.thorough
 def test_a_page_that_was_refused_leads_back_to_its_run(form: Form) -> None:
     answer = form.browser.get(f"{form.page}/go-on", follow_redirects=False)
     assert (answer.status_code, answer.headers["location"]) == (303, form.page)

@@ -60,6 +60,7 @@ def test_data_without_anything_to_stop_by_are_refused() -> None:
         training_and_validation(with_part(data, np.full(len(data), TRAINING)))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("model", "data"),
     [

@@ -25,6 +25,7 @@ def model():
     return estimator("rigid-wls").fit(moving(1, 2, 3, noise_a=0.1), nominal())
 
 
+@pytest.mark.thorough
 def test_the_examples_do_what_the_page_says(model, monkeypatch, capsys) -> None:
     monkeypatch.setattr("hil.estimators.load_model_file", lambda path: model)
     quiet = moving(*range(10, 28), noise_a=0.1, load=LOAD, samples=60)

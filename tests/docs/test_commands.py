@@ -72,6 +72,7 @@ def test_the_command_is_one(block: docs_commands.Block, line: str) -> None:
     docs_commands.parse(line)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("line", "said"),
     [

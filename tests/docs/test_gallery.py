@@ -42,6 +42,7 @@ def test_every_section_with_pictures_says_the_command_that_makes_them() -> None:
     assert [part.partition("\n")[0] for part in sections if "```sh\nhil " not in part] == []
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_command_is_one_of_hil(command: str) -> None:
     docs_commands.parse(command)

@@ -45,6 +45,7 @@ def pages(site: Path) -> Iterator[tuple[Path, str]]:
         yield path, path.read_text("utf-8")
 
 
+@pytest.mark.thorough
 def test_every_page_is_in_the_navigation(site: Path) -> None:
     home = (site / "reference" / "spec.html").read_text("utf-8")
     tabs = re.findall(r'<a href="([^"]+)" class="md-(?:tabs|nav)__link', home)
@@ -89,6 +90,7 @@ def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
     assert 'src="../site/iframe-worker.js"' in (site / "how-to" / "excite.html").read_text("utf-8")
 
 
+@pytest.mark.thorough
 def test_what_is_wrong_ends_the_build(tmp_path: Path) -> None:
     shutil.copytree(DOCS, tmp_path / "docs")
     shutil.copy(ROOT / "mkdocs.yml", tmp_path)

@@ -56,6 +56,7 @@ def sampled_path(seed: int, samples: int = 700) -> np.ndarray:
     return corners[leg] + s[:, None] * (corners[leg + 1] - corners[leg])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", UR_ARMS)
 @pytest.mark.parametrize("q", [UP, HOME])
 def test_ordinary_poses_are_clear(name, q):

@@ -80,6 +80,7 @@ def test_any_scalar_of_the_regressor_has_the_gradient_of_finite_differences(
     np.testing.assert_allclose(gradient, differences(scalar, at), rtol=1e-6, atol=1e-6)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("measure", ["raw", "scaled", "log_det"])
 def test_conditions_and_determinants_have_the_gradient_of_finite_differences(
     ur5: RobotModel, measure: str

@@ -91,6 +91,7 @@ with SignalWatch() as watch, watch.guard():
 """
 
 
+@pytest.mark.thorough
 def test_the_third_signal_ends_the_process_although_stop_hangs() -> None:
     begin = time.monotonic()
     done = subprocess.run(

@@ -182,6 +182,7 @@ def test_closing_ends_the_thread_and_nothing_begins_before_the_first_check() -> 
     assert threads() == before
 
 
+@pytest.mark.thorough
 def test_the_interlocks_of_a_run_watch_its_own_folder_and_recorder(tmp_path: Path) -> None:
     """Made before the motion is confirmed, they get both when the recording begins."""
     spec, station = tmp_path / "spec.yaml", tmp_path / "station.yaml"

@@ -90,6 +90,7 @@ def test_two_groups_have_the_degrees_of_freedom_of_imbens_and_kolesar() -> None:
     assert ours.degrees_[1] == pytest.approx(above / (n1**2 * (n1 - 1) + n0**2 * (n0 - 1)))
 
 
+@pytest.mark.thorough
 def test_intervals_of_few_clusters_hold_what_they_promise() -> None:
     random = np.random.default_rng(1)
     clusters = np.repeat(np.arange(12), 5)

@@ -267,6 +267,7 @@ def test_a_model_file_gives_back_predictions_and_inertial_parameters(tmp_path) -
     np.testing.assert_array_equal(again.inertial_, found.inertial_)
 
 
+@pytest.mark.thorough
 def test_the_same_data_give_the_same_bytes() -> None:
     one, other = (RigidDiffnea().fit(moving(5, noise_a=0.05), nominal()) for _ in range(2))
     np.testing.assert_array_equal(one.coefficients_, other.coefficients_)

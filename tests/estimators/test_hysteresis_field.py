@@ -26,6 +26,7 @@ def bare(data: Dataset) -> Dataset:
     return replace(data, conditions=conditions)
 
 
+@pytest.mark.thorough
 def test_a_tool_that_was_not_declared_is_told_or_does_no_harm() -> None:
     train = [bare(remembering(i, load=LOAD)) for i in (1, 2, 3)]
     test = bare(remembering(9, load=LOAD))

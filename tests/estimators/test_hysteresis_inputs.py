@@ -49,6 +49,7 @@ def test_the_core_need_not_be_named() -> None:
     assert estimator("rigid-hysteresis", friction=()).friction == ("core",)
 
 
+@pytest.mark.thorough
 def test_one_trajectory_is_noted_and_two_are_not(train) -> None:
     alone = made(friction="auto").fit(remembering(1), nominal())
     assert any("one trajectory only" in note for note in alone.notes_)
@@ -65,6 +66,7 @@ def test_a_robot_of_a_urdf_has_no_ripple_unless_its_gear_ratio_is_given(train, t
     assert "ripple" in geared.predict(train).components
 
 
+@pytest.mark.thorough
 def test_warm_joints_are_learnt_where_temperature_varied() -> None:
     ramp, other = (15.0, 45.0), (45.0, 15.0)
     warm = remembering(1, 2, celsius=ramp, noise_a=0.0)

@@ -144,12 +144,14 @@ def test_warmer_friction_can_be_freed() -> None:
     assert found.payload.mass == pytest.approx(LOAD.mass, rel=0.01)
 
 
+@pytest.mark.thorough
 def test_a_load_settles_however_wrong_the_gains_are() -> None:
     arm = RigidWls().fit(recorded(105, 1, 2, 3), nominal())
     found = estimate_payload(arm, recorded(105, 7, 8, load=OFF_AXIS[1]), friction="model")
     assert found.payload.mass == pytest.approx(3.0, rel=0.1)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("joint", [1, 2, 4])
 def test_a_load_is_as_much_too_light_as_gains_say(joint: int) -> None:
     wide = replace(LOAD, inertia=(0.05, 0.06, 0.04, 0.0, 0.0, 0.0))  # no limit of bodies is near

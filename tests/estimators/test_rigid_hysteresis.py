@@ -48,6 +48,7 @@ def quick(train):
     return made(fit_shapes=True).fit(train, nominal())
 
 
+@pytest.mark.thorough
 def test_a_new_trajectory_is_predicted_near_the_noise(fitted, train, held_out) -> None:
     wls = rms(estimator("rigid-wls").fit(train, nominal()), held_out)
     ours = rms(fitted, held_out)
@@ -108,6 +109,7 @@ def streamed(model, data, load=None):
     )
 
 
+@pytest.mark.thorough
 def test_stream_is_the_model_sample_by_sample_without_filters(quick, held_out) -> None:
     assert streamed(quick, held_out) == pytest.approx(by_hand(quick, held_out), abs=2e-3)
 

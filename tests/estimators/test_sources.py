@@ -79,6 +79,7 @@ def test_report_has_the_keys_of_the_contract_and_the_model_is_stored(sources, tm
     json.dumps(report, allow_nan=False)
 
 
+@pytest.mark.thorough
 def test_stored_model_is_judged_again_to_the_same_numbers(sources, tmp_path) -> None:
     report = hil.fit(
         sources[:2], estimator="rigid-wls", validate=sources[2:], out=tmp_path
@@ -101,6 +102,7 @@ def test_judging_a_model_on_its_training_data_is_refused(sources, tmp_path) -> N
         assert "has not seen" in caught.value.hint
 
 
+@pytest.mark.thorough
 def test_models_of_an_older_hil_are_judged_though_they_do_not_know_their_training(
     sources, tmp_path
 ) -> None:
@@ -117,6 +119,7 @@ def test_copy_with_its_clock_shifted_is_found(sources, tmp_path) -> None:
         hil.fit(sources, estimator="rigid-wls", validate=[copy], out=tmp_path / "models")
 
 
+@pytest.mark.thorough
 def test_evaluations_of_a_model_are_kept(sources, tmp_path) -> None:
     def fit(*validate):
         report = hil.fit(sources[:2], estimator="rigid-wls", validate=validate, out=tmp_path)
@@ -151,6 +154,7 @@ def test_two_individuals_of_a_robot_are_not_pooled(sources, tmp_path) -> None:
     hil.fit([a, sources[0]], estimator="rigid-wls", out=tmp_path / "models")
 
 
+@pytest.mark.thorough
 def test_judging_on_another_individual_is_noted(tmp_path) -> None:
     a, b = (recording(tmp_path, seed, serial=f"SN{seed}") for seed in (11, 12))
     report = hil.fit([a], estimator="rigid-wls", validate=[b], out=tmp_path / "models")
@@ -160,6 +164,7 @@ def test_judging_on_another_individual_is_noted(tmp_path) -> None:
     assert entry["notes"] == [note]
 
 
+@pytest.mark.thorough
 def test_same_program_on_another_arm_is_noted_but_judged(sources, tmp_path) -> None:
     again = recording(tmp_path, 1, name="again", load=LOAD)
     report = hil.fit(
@@ -171,6 +176,7 @@ def test_same_program_on_another_arm_is_noted_but_judged(sources, tmp_path) -> N
     assert new.notes == ()
 
 
+@pytest.mark.thorough
 def test_python_api_takes_one_path_or_several(sources, tmp_path) -> None:
     one = hil.fit(
         str(sources[0]), estimator="rigid-wls", validate=str(sources[2]), out=tmp_path

@@ -60,6 +60,7 @@ def own(model, joint, values=None):
     return (model.coefficients_ if values is None else values)[chosen] / GAINS[joint]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("rows", "term"), OPTIONS)
 @pytest.mark.parametrize("method", THEIRS)
 def test_solutions_are_scikit_learns(method, rows, term) -> None:
@@ -187,6 +188,7 @@ def test_true_gravity_lies_in_the_intervals_as_often_as_they_say() -> None:
     assert 0.84 < np.mean(hits) < 0.96
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("noise", ["normal", "student"])
 def test_intervals_know_that_the_papers_weights_come_from_the_same_data(noise) -> None:
     from hil.estimators.static_linear import Block, DwellSeries, least_squares

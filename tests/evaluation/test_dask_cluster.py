@@ -50,6 +50,7 @@ def refuse() -> None:
     raise SpecError("not like this", hint="like that")
 
 
+@pytest.mark.thorough
 def test_tasks_are_computed_by_the_workers_of_the_cluster(local: Any) -> None:
     with cluster(local.scheduler_address) as executor:
         told: list[tuple[str, int, int]] = []

@@ -88,6 +88,7 @@ def test_no_half_is_judged_with_what_it_told_itself(monkeypatch: pytest.MonkeyPa
     assert np.mean(error[~first]) > 3 * np.mean(error[first])
 
 
+@pytest.mark.thorough
 def test_there_is_nothing_to_judge_where_the_load_is_known_several_or_at_rest() -> None:
     assert under_load(model(), loaded(), [LOAD]) is None
     bare = raw(recorded(1, 5, 6))

@@ -117,6 +117,7 @@ def test_the_seed_decides() -> None:
     assert not np.array_equal(poses_of(first), poses_of(other))
 
 
+@pytest.mark.thorough
 def test_an_approach_without_room_is_said() -> None:
     with pytest.raises(PlanError, match="can be reached and approached"):
         program_of(toy_workspace(), approach_deg=120.0)

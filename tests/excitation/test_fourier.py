@@ -47,6 +47,7 @@ def test_limits_range_and_amplitude_are_kept_on_a_grid_ten_times_denser(
     assert np.abs(dense.q - motion.to_dict()["q0_rad"]).max() <= 60 * DEGREE + 1e-9
 
 
+@pytest.mark.thorough
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10_000), st.integers(1, 3))
 def test_trajectories_are_at_rest_at_both_ends(seed: int, periods: int) -> None:

@@ -128,6 +128,7 @@ def test_a_profiles_velocity_and_acceleration_are_the_derivatives(
     np.testing.assert_allclose((v_after - v_before) / (2 * h), a, atol=line.jerk * h + 1e-14 / h)
 
 
+@pytest.mark.thorough
 @relaxed
 @given(lines().filter(moving))
 def test_a_lines_samples_are_its_stretched_profile(line: Line) -> None:

@@ -108,6 +108,7 @@ def test_several_starts_keep_the_best_and_tell_of_all(found: Optimised) -> None:
     assert remaining[-1] < remaining[0] + elapsed_s
 
 
+@pytest.mark.thorough
 def test_jerk_and_nominal_torque_are_kept() -> None:
     given = problem(jerk_max=20.0, effort_max=[60.0, 60.0, 30.0, 6.0, 6.0, 3.0])
     limited = optimise(given, starts=1, seed=1, iterations=12)
@@ -119,6 +120,7 @@ def test_jerk_and_nominal_torque_are_kept() -> None:
     assert limited.margins.effort == pytest.approx(1 - effort / given.limit("effort_max"), abs=1e-3)
 
 
+@pytest.mark.thorough
 def test_distance_to_table_and_self_is_kept() -> None:
     collision = CollisionModel(ROBOT.arm, Environment(table_z=0.0))
     given = problem(collision=collision, clearance_m=0.03)

@@ -81,6 +81,7 @@ def test_a_plan_holds_its_trajectories_and_needs_no_cache(
     assert series_of(Plan.from_dict(plan.to_dict())) == series_of(plan)
 
 
+@pytest.mark.thorough
 def test_what_cannot_be_done_names_the_trajectory_and_what_is_in_the_way(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

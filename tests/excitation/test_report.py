@@ -129,6 +129,7 @@ def both(report: ExcitationReport) -> tuple[Any, Any]:
     return report.appraisal, report.random
 
 
+@pytest.mark.thorough
 def test_the_table_says_where_they_come_from_and_fits_a_narrow_terminal(
     optimised: Path, report: ExcitationReport, tmp_path: Path
 ) -> None:
@@ -141,6 +142,7 @@ def test_the_table_says_where_they_come_from_and_fits_a_narrow_terminal(
     assert "<svg" not in text
 
 
+@pytest.mark.thorough
 def test_json_holds_the_motions_and_every_margin(optimised: Path, tmp_path: Path) -> None:
     told = json.loads(shown(str(optimised), "-o", str(tmp_path / "page.html"), "--json"))
     assert [each["series"]["kind"] for each in told["trajectories"]] == ["fourier", "fourier"]
@@ -171,6 +173,7 @@ def test_the_page_says_when_a_limit_is_exceeded(report: ExcitationReport) -> Non
     assert (page.badge.text, page.badge.mark) == ("beyond a limit", "fail")
 
 
+@pytest.mark.thorough
 def test_random_draws_are_appraised_without_comparison(cache: Path, tmp_path: Path) -> None:
     spec = tmp_path / "random.yaml"
     spec.write_text(SPEC.format(more="seed: 3"), "utf-8")

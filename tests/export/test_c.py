@@ -77,6 +77,7 @@ def test_it_does_nothing_undefined(models, tmp_path) -> None:
     assert "largest difference" in run_self_test(told.out, program)
 
 
+@pytest.mark.thorough
 @needs_compiler
 def test_the_self_test_fails_for_another_model(models, tmp_path) -> None:
     told = export_c(models("rigid-wls"), tmp_path / "out")

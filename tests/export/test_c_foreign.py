@@ -20,6 +20,7 @@ def model(tmp_path_factory):
     return fitted_robot(from_text(TURNED, tmp_path_factory.mktemp("arm")))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ODD)
 def test_odd_names_stay_in_their_comment(name, model, tmp_path) -> None:
     if compiler() is None:
@@ -41,6 +42,7 @@ def test_what_names_usually_are_stays_readable() -> None:
     assert comment_text("shoulder_pan-1.5, UR5+ e") == "shoulder_pan-1.5, UR5+ e"
 
 
+@pytest.mark.thorough
 def test_a_model_folder_cannot_bring_code_along(tmp_path) -> None:
     if compiler() is None:
         pytest.skip("there is no C compiler")

@@ -44,6 +44,7 @@ def test_odd_numbers_make_it_do_nothing_undefined(name, kind, folders, tmp_path)
     assert said == "nothing stops it\n"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", COMPILERS)
 def test_odd_numbers_do_not_stop_a_runtime_that_traps(name, kind, folders, tmp_path) -> None:

@@ -66,6 +66,7 @@ def test_a_program_says_what_the_network_says(case, tmp_path) -> None:
     assert told.parts == f"lagrangian, {'with' if remembers else 'without'} memory"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["gcc", "clang"])
 def test_it_compiles_without_warnings_wherever_it_is_asked(name, tmp_path) -> None:
     if shutil.which(name) is None:
@@ -95,6 +96,7 @@ def test_nothing_undefined_happens_however_far_a_motion_goes(case, tmp_path) -> 
         run_self_test(told.out, program)
 
 
+@pytest.mark.thorough
 def test_parts_are_those_of_a_prediction() -> None:
     data = moving(9, load=LOAD, samples=50)
     model = lagrangian("stribeck double")
@@ -109,6 +111,7 @@ def test_parts_are_those_of_a_prediction() -> None:
         assert parts["friction"] == pytest.approx(wanted["friction"][k], abs=1e-10)
 
 
+@pytest.mark.thorough
 def test_a_compiled_predictor_is_the_stream() -> None:
     model = lagrangian("coulomb dahl")
     fast, slow = Predictor(model, LOAD), model.stream(LOAD)

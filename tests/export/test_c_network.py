@@ -42,6 +42,7 @@ def usual(tmp_path_factory):
     return networks, built(networks, tmp_path_factory.mktemp("network"))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
 def test_the_program_says_what_the_stream_says(kind, tmp_path) -> None:
     networks, rows = correction(**kind), motion()
@@ -52,6 +53,7 @@ def test_the_program_says_what_the_stream_says(kind, tmp_path) -> None:
     assert np.all(found[:, ~networks.kept] == 0.0)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("layout", ["grouped", "joint"])
 def test_a_network_of_the_usual_size_says_it_too(layout, tmp_path) -> None:
     networks = correction(
@@ -103,6 +105,7 @@ def test_the_hyperbolic_tangent_is_right_to_one_in_a_million(tmp_path) -> None:
     assert np.isnan(np.frombuffer(ran(program, x[:1] * np.nan), dtype=np.float32))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("layout", ["grouped", "joint"])
 def test_no_access_is_out_of_bounds_and_nothing_undefined_is_done(layout, tmp_path) -> None:
     (tmp_path / "empty.c").write_text("int main(void) { return 0; }\n")

@@ -65,6 +65,7 @@ def test_docs_name_the_functions_of_math_h_that_it_calls(kind) -> None:
     assert called <= set(MATH_H[kind].split())
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 @pytest.mark.parametrize("share", [0.0, 0.02, 0.05, 0.15])
 def test_coefficients_that_are_exactly_0_leave_nothing_unused(share, tmp_path) -> None:

@@ -17,6 +17,7 @@ from hil.export.program import program_of
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 
 
+@pytest.mark.thorough
 def test_physics_and_networks_say_together_what_the_model_says(tmp_path) -> None:
     told = export_c(model(), tmp_path / "out", prefix="arm")
     assert float(told.checked.split()[3]) < 1e-5
@@ -24,6 +25,7 @@ def test_physics_and_networks_say_together_what_the_model_says(tmp_path) -> None
     assert told.parts == "residual, with memory"
 
 
+@pytest.mark.thorough
 def test_a_network_that_every_joint_dropped_is_not_written(tmp_path) -> None:
     dropped = unfitted(base={"estimator": "rigid-wls"}, margin=0.99).fit(known(), nominal())
     assert not dropped.correction_.kept.any()
@@ -32,6 +34,7 @@ def test_a_network_that_every_joint_dropped_is_not_written(tmp_path) -> None:
     assert float(told.checked.split()[3]) < 1e-12
 
 
+@pytest.mark.thorough
 def test_a_network_that_hears_the_torque_it_predicts_is_refused() -> None:
     hearing = unfitted(base={"estimator": "rigid-wls"}, inputs="measured", margin=0.0)
     with pytest.raises(FitError, match="needs the torque that a controller wants predicted"):

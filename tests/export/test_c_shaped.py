@@ -39,12 +39,14 @@ def test_a_program_says_what_the_model_says(friction, models, tmp_path) -> None:
     assert told.parts.endswith(" with memory") == (friction == "memory")
 
 
+@pytest.mark.thorough
 def test_a_hard_sign_is_hard_in_c_too(models, tmp_path) -> None:
     told = export_c(models("stribeck-power", sign_width=0.0), tmp_path / "out")
     assert float(told.checked.split()[3]) < 1e-12
     assert "tanh(" not in (told.out / "hil.c").read_text("utf-8")
 
 
+@pytest.mark.thorough
 def test_it_does_nothing_undefined(models, tmp_path) -> None:
     told = export_c(models("memory"), tmp_path / "out")
     flags = ("-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")

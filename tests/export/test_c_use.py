@@ -85,6 +85,7 @@ def test_a_stack_that_grows_without_bound_is_not_said_to_have_one(tmp_path) -> N
     assert stack_bytes(tmp_path, "hil") is None
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", COMPILERS)
 def test_cmake_builds_it_and_its_self_test_passes(name, programs, tmp_path) -> None:
     if shutil.which("cmake") is None or shutil.which(name) is None:

@@ -34,6 +34,7 @@ def warmed(program: CompiledProgram, kelvin: np.ndarray) -> int:
 KELVIN = np.array([10.0, -5.0, 0.0, 3.0, 1.0, 20.0])
 
 
+@pytest.mark.thorough
 def test_warmer_joints_are_a_training_that_was_so_warm(model) -> None:
     data = prepared(remembering(5), model.filters_)
     program, twin = CompiledProgram(model), copy.copy(model)
@@ -74,6 +75,7 @@ def test_what_is_no_temperature_is_refused_and_changes_nothing(bad, model) -> No
     assert np.array_equal(program.step(*sample), twin.step(*sample))
 
 
+@pytest.mark.thorough
 def test_only_programs_that_depend_on_it_have_it(model) -> None:
     assert "int hil_set_warmth(hil_state *s" in c_source(program_of(model)).header
     plain = estimator("rigid-hysteresis", consistent=False, friction=GROUPS[:2])

@@ -59,6 +59,7 @@ def exported(model, tmp_path_factory):
     return export_urdf(model, tmp_path_factory.mktemp("urdf") / "robot.urdf")
 
 
+@pytest.mark.thorough
 def test_mujoco_finds_the_torques_of_the_true_arm_in_the_file(exported) -> None:
     mujoco = pytest.importorskip("mujoco")
     peer = mujoco.MjModel.from_xml_path(str(exported.out))
@@ -102,6 +103,7 @@ def test_loads_hang_where_they_did(exported) -> None:
     assert again.flange_pose(q) == pytest.approx(nominal().flange_pose(q), abs=1e-12)
 
 
+@pytest.mark.thorough
 def test_a_robots_own_urdf_is_edited(model, tmp_path: Path) -> None:
     path = written(tmp_path, urdf("ur5"))
     own = RobotModel.from_urdf(path)
@@ -151,6 +153,7 @@ def test_angles_give_the_rotation_back(angles) -> None:
     assert again == pytest.approx(R, abs=1e-12)
 
 
+@pytest.mark.thorough
 def test_parameters_of_bodies_are_written_as_they_are(model, tmp_path: Path) -> None:
     class Bodies(RigidWls):
         pass
@@ -163,6 +166,7 @@ def test_parameters_of_bodies_are_written_as_they_are(model, tmp_path: Path) -> 
     assert again == pytest.approx(plant().parameters(), abs=1e-12)
 
 
+@pytest.mark.thorough
 def test_noise_leaves_links_that_exist_and_says_by_how_much_they_are_off(tmp_path: Path) -> None:
     noisy = RigidWls().fit(moving(1, noise_a=0.3), nominal())
     found = export_urdf(noisy, tmp_path / "noisy.urdf", unchecked=True)

@@ -68,6 +68,7 @@ def test_other_names_than_pt2_are_warned_of(folder, tmp_path) -> None:
     assert told.notes == ("torch.export.load warns of other names than *.pt2",)
 
 
+@pytest.mark.thorough
 def test_joints_follow_their_temperature_as_predict_says(monkeypatch) -> None:
     params = {"consistent": False, "friction": ["core", "load", "temperature"]}
     data = remembering(1, 2, 3, celsius=(20.0, 45.0))

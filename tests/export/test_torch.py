@@ -154,6 +154,7 @@ def test_the_file_says_how_to_call_it(written) -> None:
     assert int(said["state_size"]) == sum(size for _, size in json.loads(said["state"]))
 
 
+@pytest.mark.thorough
 def test_the_example_of_the_page_runs(written, tmp_path, monkeypatch) -> None:
     model, told = written
     (tmp_path / "arm.pt2").write_bytes(told.out.read_bytes())
@@ -180,6 +181,7 @@ def test_many_streams_at_once_say_what_each_says(written) -> None:
         torch.testing.assert_close(effort[1:2], one, rtol=0.0, atol=1e-12)
 
 
+@pytest.mark.thorough
 def test_zeros_begin_again(written) -> None:
     model, told = written
     program = torch.export.load(told.out).module()

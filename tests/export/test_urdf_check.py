@@ -40,6 +40,7 @@ def swapped(honest):
     return text
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("name", "bent", "words"),
     [
@@ -56,6 +57,7 @@ def test_a_file_that_says_something_else_is_not_written(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.thorough
 def test_friction_that_was_asked_for_wrongly_is_found_out(model, tmp_path, monkeypatch) -> None:
     honest = identified_parameters.plain_friction
     monkeypatch.setattr(identified_parameters, "plain_friction", lambda m: honest(m)[::-1])

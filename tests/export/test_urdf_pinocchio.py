@@ -77,6 +77,7 @@ def test_base_parameters_of_links_that_exist_have_their_torques(tmp_path) -> Non
     assert np.max(differences(model, told)) < EXACT * largest(model)
 
 
+@pytest.mark.thorough
 def test_base_parameters_of_the_mock_miss_them_by_no_more_than_is_told(recorded, tmp_path) -> None:
     """Fifteen seconds with noise: no links that exist have just these base parameters."""
     pytest.importorskip("cvxpy")

@@ -319,6 +319,7 @@ def test_a_folder_that_cannot_be_made_is_told_by_the_weekly_script(tmp_path: Pat
     assert result.stdout.startswith("weekly: FAILED: ")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["compare_arms", "payload_check", "weekly_reidentification"])
 def test_a_script_says_with_h_where_it_writes(name: str) -> None:
     said = subprocess.run(

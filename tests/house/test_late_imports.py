@@ -132,6 +132,7 @@ def test_every_folder_of_the_product_is_a_package_that_the_walls_see() -> None:
         assert not {folder for folder in folders if not (folder / "__init__.py").is_file()}
 
 
+@pytest.mark.thorough
 def test_no_name_of_a_private_module_stands_in_a_string_of_another_package() -> None:
     """What an import contract cannot see; entry points and lists within a package are fine."""
     named = re.compile(r"^(hil\.\w+)\.\w[\w.]*$")

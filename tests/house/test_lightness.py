@@ -24,6 +24,7 @@ def loaded_after(code: str) -> set[str]:
     return {name.split(".")[0] for name in done.stderr.split()}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "code",
     [
@@ -38,6 +39,7 @@ def test_nothing_heavy_is_loaded(code: str) -> None:
     assert loaded_after(code).isdisjoint(HEAVY)
 
 
+@pytest.mark.thorough
 def test_pure_calculation_imports_nothing_that_only_posix_has() -> None:
     absent = "import sys\nfor n in ('fcntl', 'termios', 'resource', 'pwd'): sys.modules[n] = None\n"
     names = ("hil.arms.load_arm", "hil.dynamics.load_model", "hil.estimators.load_model_file",

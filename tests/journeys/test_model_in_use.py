@@ -82,6 +82,7 @@ def test_walls_of_the_station_are_kept_clear_of(folder, found, tmp_path) -> None
     assert all(pose["clearance_mm"] >= 35 - 1e-3 for pose in document["poses"])
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("few_searches")
 def test_a_load_is_held_too(folder, found) -> None:
     loaded = asked(folder, "--near", "0,-45,45,0,0,0", "--payload", "3,0,0,0.1")
@@ -146,6 +147,7 @@ def led(model, push_nm, joint, **settings) -> tuple[np.ndarray, np.ndarray]:
     return np.degrees(q), np.array(qd)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", PUSHES)
 def test_an_arm_led_by_hand_stays_yields_and_comes_to_rest(folder, name) -> None:
     model = load_model_file(folder)

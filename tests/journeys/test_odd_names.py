@@ -207,6 +207,7 @@ def test_every_verb_ends_as_it_would_with_another_name(
             json.loads(line)
 
 
+@pytest.mark.thorough
 def test_a_run_ends_with_its_report(
     places: dict[str, Path], tmp_path: Path, hil: Callable[..., Said]
 ) -> None:
@@ -219,6 +220,7 @@ def test_a_run_ends_with_its_report(
     assert "</html>" in (run / "report.html").read_text("utf-8")
 
 
+@pytest.mark.thorough
 def test_an_arm_of_ones_own_may_stand_in_a_folder_of_any_name(
     tmp_path: Path, hil: Callable[..., Said]
 ) -> None:

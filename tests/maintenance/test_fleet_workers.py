@@ -39,6 +39,7 @@ def one_at_it(folder: Path) -> Workers:
     return fleet
 
 
+@pytest.mark.thorough
 def test_a_worker_that_has_answered_and_stays_is_killed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -51,6 +52,7 @@ def test_a_worker_that_has_answered_and_stays_is_killed(
     assert not fleet.running
 
 
+@pytest.mark.thorough
 def test_ctrl_c_reaches_a_worker_that_has_answered(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -69,6 +69,7 @@ def place(made: Path, tmp_path: Path) -> Place:
     return Place(runs, run, load_experiment(made / "probe.yaml"))
 
 
+@pytest.mark.thorough
 def test_a_run_says_what_occasion_it_is_for(place: Place) -> None:
     assert RunDirectory.open(place.run).start["occasion"] == "weekly/1/probe"
     assert run_of(place.runs, place.probe, "weekly/1/probe") == place.run
@@ -89,6 +90,7 @@ def test_a_page_that_a_crash_has_kept_is_made(place: Place) -> None:
     assert (place.run / "report.html").is_file()
 
 
+@pytest.mark.thorough
 def test_another_spec_is_another_run(made: Path, place: Place, tmp_path: Path) -> None:
     changed = PROBE | {"excitation": PROBE["excitation"] | {"trajectories": 1}}
     write_schedule(tmp_path, probe=changed)
@@ -109,6 +111,7 @@ def test_a_run_that_was_cut_off_is_gone_on_with(place: Place, how: str) -> None:
     assert place.count() == 1
 
 
+@pytest.mark.thorough
 def test_what_is_missing_of_a_run_is_measured(place: Place, tmp_path: Path) -> None:
     place.end()
     (place.run / "stop.json").unlink()
@@ -167,6 +170,7 @@ def test_a_process_that_died_of_a_second_signal_was_ended_by_a_signal(place: Pla
     assert place.measure() == place.run
 
 
+@pytest.mark.thorough
 def test_another_robot_is_another_run(place: Place, tmp_path: Path) -> None:
     """Two stations, one folder of runs, one schedule: due at the same second."""
     text = place.probe.station_text

@@ -189,6 +189,7 @@ def test_a_change_is_only_told_where_it_shall_not_start_a_campaign(robot: Robot)
     assert (told["outcome"], told["text"]) == ("drift", "friction up on J2")
 
 
+@pytest.mark.thorough
 def test_a_campaign_that_is_due_needs_no_change(robot: Robot) -> None:
     robot.due(0)
     told = robot.due(1, "campaign", campaign="worn campaign")
@@ -200,6 +201,7 @@ def test_a_campaign_that_is_due_needs_no_change(robot: Robot) -> None:
 WORN_RUNS = {"probe": "worn probe", "campaign": "worn campaign", "check": "worn probe"}
 
 
+@pytest.mark.thorough
 def test_a_robot_that_is_as_it_was_is_predicted_as_it_was(
     robot: Robot, request: pytest.FixtureRequest
 ) -> None:
@@ -216,6 +218,7 @@ def test_a_robot_that_is_as_it_was_is_predicted_as_it_was(
     assert evidence["days"]["differences"][0] < 0 < evidence["days"]["differences"][1]
 
 
+@pytest.mark.thorough
 def test_what_a_robot_did_before_it_changed_is_no_matter(
     robot: Robot, request: pytest.FixtureRequest
 ) -> None:
@@ -227,6 +230,7 @@ def test_what_a_robot_did_before_it_changed_is_no_matter(
     assert "days" not in told["decision"]["evidence"]
 
 
+@pytest.mark.thorough
 def test_another_champion_is_not_the_one_that_was_to_be_compared_with(robot: Robot) -> None:
     robot.due(0)
     assert robot.due(1, "campaign", **WORN_RUNS)["champion"] == "v2"
@@ -240,6 +244,7 @@ def test_another_champion_is_not_the_one_that_was_to_be_compared_with(robot: Rob
     assert events(robot)[-2:] == [("rolled-back", 1), ("kept", 3)]
 
 
+@pytest.mark.thorough
 def test_a_probe_is_held_against_the_champion_of_its_occasions_beginning(robot: Robot) -> None:
     robot.due(0)
     robot.due(1, "campaign", **WORN_RUNS)

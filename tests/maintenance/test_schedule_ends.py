@@ -52,6 +52,7 @@ def measuring(folder: Path, probe: Any, *observers: Presses) -> Scheduler:
     return loop
 
 
+@pytest.mark.thorough
 def test_an_interlock_holds_the_schedule(tmp_path: Path) -> None:
     loop = measuring(tmp_path, PROBE | {"interlocks": [{"kind": "current", "limit_a": 0.5}]})
     loop.run(at("25 12:00"))
@@ -60,6 +61,7 @@ def test_an_interlock_holds_the_schedule(tmp_path: Path) -> None:
     assert len(list(tmp_path.glob("runs/*/*/*/start.json"))) == 1
 
 
+@pytest.mark.thorough
 def test_the_first_ctrl_c_stops_what_nobody_attends(tmp_path: Path) -> None:
     presses = Presses()
     loop = measuring(tmp_path, PROBE, presses)

@@ -44,6 +44,7 @@ def registry(model: tuple[Path, Path], tmp_path: Path) -> Registry:
     return made
 
 
+@pytest.mark.thorough
 def test_nothing_changes_until_something_does(registry, quiet, tmp_path: Path) -> None:
     told = [assess(registry, "ur5", source) for source in quiet]
     assert not any(one.changed for one in told)
@@ -54,6 +55,7 @@ def test_nothing_changes_until_something_does(registry, quiet, tmp_path: Path) -
     assert worn.text.startswith("friction up on shoulder_lift_joint: +")
 
 
+@pytest.mark.thorough
 def test_a_load_nobody_told_of_is_named(registry, quiet, tmp_path: Path) -> None:
     for source in quiet:
         assess(registry, "ur5", source)
@@ -79,6 +81,7 @@ def test_runs_of_probes_lead_to_the_registry(registry, quiet, tmp_path: Path) ->
     assert registries_of(tmp_path / "runs") == [registry.root]
 
 
+@pytest.mark.thorough
 def test_a_new_champion_begins_anew(registry, quiet, model, tmp_path: Path) -> None:
     for source in quiet[:3]:
         assess(registry, "ur5", source)

@@ -92,6 +92,7 @@ def test_who_learned_too_little_errs_more(champion) -> None:
     assert "errs more" in told.words
 
 
+@pytest.mark.thorough
 def test_equals_are_rarely_told_apart() -> None:
     """Nobody of six who learned as much is sure to err less than all the others."""
     of = [fitted(moving(*range(100 + 3 * k, 103 + 3 * k), noise_a=NOISE_A)) for k in range(6)]
@@ -100,6 +101,7 @@ def test_equals_are_rarely_told_apart() -> None:
     assert sum(wins) <= 2
 
 
+@pytest.mark.thorough
 def test_a_joint_that_gets_clearly_worse_is_not_outweighed(champion) -> None:
     data = rougher(moving(4, 5, 6, noise_a=NOISE_A), 1, 0.3)
     challenger = fitted(rougher(data, 4, 0.02))
@@ -124,6 +126,7 @@ def test_too_little_data_decide_nothing(champion) -> None:
         compare(champion, champion, [moving(11, 12)])
 
 
+@pytest.mark.thorough
 def test_the_same_motion_driven_again_is_no_new_evidence(champion) -> None:
     """Only its noise is new: what a model gets wrong along it, it gets wrong again."""
     challenger = fitted(moving(4, 5, 6, noise_a=NOISE_A))

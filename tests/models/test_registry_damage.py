@@ -168,6 +168,7 @@ def test_no_writer_goes_on_after_a_damage(
     assert [one.label for one in registry.versions("ur5")] == ["v1", "v2"]
 
 
+@pytest.mark.thorough
 @damages
 def test_repair_brings_the_champion_back_and_keeps_the_old_files(
     damage: Damage, words: str, home: Path

@@ -55,6 +55,7 @@ def on(sources) -> list[str]:
     return [word for seed in FRESH for word in ("--on", str(sources[seed]))]
 
 
+@pytest.mark.thorough
 def test_the_better_is_promoted_and_the_way_back_is_there(registry, sources) -> None:
     first = called(registry, "promote", "ur5", "v1", *on(sources))
     assert "ur5: v1 is champion: there is no other champion" in first.stdout
@@ -67,6 +68,7 @@ def test_the_better_is_promoted_and_the_way_back_is_there(registry, sources) -> 
     assert log[3]["evidence"]["comparison"]["better"] is True
 
 
+@pytest.mark.thorough
 def test_the_worse_is_never_promoted(registry, sources) -> None:
     called(registry, "promote", "ur5", "v2", *on(sources))
     for more in ([], ["--unless-worse"]):
@@ -92,6 +94,7 @@ def test_nobody_is_judged_on_what_it_learned_from(registry, sources) -> None:
     assert isinstance(unjudged.exception, SpecError)
 
 
+@pytest.mark.thorough
 def test_two_versions_side_by_side(registry, sources) -> None:
     files = [sources[seed] for seed in FRESH]
     done = called(registry, "compare", "ur5", "v2", *files, "--with", "v1")

@@ -30,6 +30,7 @@ def scaled(data: Dataset, **by: float) -> Dataset:
     return data.with_columns(**{name: factor * data[name] for name, factor in by.items()})
 
 
+@pytest.mark.thorough
 @kinds
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("column", ["t", "q", "qd", "effort"])
@@ -39,6 +40,7 @@ def test_a_value_that_is_none_is_told_by_column_row_and_joint(kind, column, valu
     assert f"1 values of {column} are not finite, the first in {where}" in error.message
 
 
+@pytest.mark.thorough
 @kinds
 @pytest.mark.parametrize("column", ["q_f", "qd_f", "qdd_f", "effort_f"])
 @pytest.mark.parametrize("value", [np.nan, 1e300])
@@ -124,6 +126,7 @@ def test_data_that_nothing_can_be_learned_from_are_refused(kind, change, words) 
     assert re.search(words, refusal(kind, change(recorded(1, 2))).message)
 
 
+@pytest.mark.thorough
 @kinds
 @pytest.mark.parametrize(
     "change", [lambda _: recorded(1), lambda d: replace(d, columns=without(d))]

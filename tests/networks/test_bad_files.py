@@ -194,6 +194,7 @@ FITTING = {"samples": [3], "margin": [3], "filters": [{}], "coverage": [{}, []]}
 """What is as good by fact: another number, filters by default, nothing known of the bands."""
 
 
+@pytest.mark.thorough
 @kinds
 @pytest.mark.parametrize("to", [None, {}, [], "x", 3])
 def test_facts_of_another_kind_are_refused(kind: str, to: object) -> None:
@@ -203,6 +204,7 @@ def test_facts_of_another_kind_are_refused(kind: str, to: object) -> None:
         assert (error is None) == (to in FITTING.get(key, ())), key
 
 
+@pytest.mark.thorough
 @kinds
 @examples(12)
 @given(data=st.data())

@@ -36,6 +36,7 @@ NAMES = [
 STUDY = plugins.load("hil.studies", "inverse-dynamics").parameter_names()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("name", "parameter"), NAMES)
 def test_a_parameter_that_cannot_be_is_refused_by_its_name(name: str, parameter: str) -> None:
     for value in OF_NO_USE:
@@ -43,6 +44,7 @@ def test_a_parameter_that_cannot_be_is_refused_by_its_name(name: str, parameter:
             estimator(name, **{parameter: value})
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("parameter", STUDY)
 def test_a_parameter_of_the_study_is_refused_by_its_name(parameter: str) -> None:
     for value in OF_NO_USE:
@@ -126,6 +128,7 @@ def test_rates_of_groups_that_there_are_not_are_refused_before_a_robot_moves(nam
     estimator(name, training={"group_rates": {near: 2.0}})
 
 
+@pytest.mark.thorough
 def test_a_rate_of_the_friction_does_nothing_where_there_is_none() -> None:
     pytest.importorskip("torch", reason="torch is not installed")
     training = LAGRANGIAN["training"] | {"group_rates": {"friction": 2.0, "dynamics": 0.5}}

@@ -43,6 +43,7 @@ def test_components_add_up_to_the_effort(fitted) -> None:
     assert found.valid.all()
 
 
+@pytest.mark.thorough
 def test_it_learns_what_an_arm_with_friction_does() -> None:
     part = np.tile([TRAINING, TRAINING, VALIDATION, TEST], 150)
     data = with_part(moving(1), part)
@@ -272,6 +273,7 @@ def test_parameters_can_be_changed_one_by_one() -> None:
     assert model.friction == "coulomb"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("friction", ["none", "coulomb", "dissipative", "unconstrained"])
 def test_every_friction_fits_and_comes_back(friction, tmp_path) -> None:
     model = made(friction=friction).fit(moving(1, 2, 3), nominal())
@@ -281,6 +283,7 @@ def test_every_friction_fits_and_comes_back(friction, tmp_path) -> None:
     assert np.any(model.predict(test).components["friction"]) == (friction != "none")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("settings_of", ["ours", "paper"])
 def test_dissipative_friction_has_the_sign_width_of_the_estimator(settings_of, tmp_path) -> None:
     model = made(friction="dissipative", sign_width=0.04, protocol=settings_of)

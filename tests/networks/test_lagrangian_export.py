@@ -9,6 +9,7 @@ torch = pytest.importorskip("torch", reason="torch is not installed")
 from tests.support.lagrangian_reference import SETTINGS, motion, network  # noqa: E402
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["ours", "literal"])
 def test_an_exported_network_takes_any_number_of_rows(name) -> None:
     net = network(SETTINGS[name])

@@ -39,6 +39,7 @@ def test_given_rates_and_those_of_the_paper_are_tried_alone() -> None:
     assert rates("stribeck") == [{}]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("order", [(1.0, 0.2), (0.2, 1.0)])
 def test_the_trial_that_validates_best_is_kept(order, tmp_path, monkeypatch) -> None:
     monkeypatch.setitem(lagrangian_settings.FRICTION_RATES, "dissipative", order)

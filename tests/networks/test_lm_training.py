@@ -235,6 +235,7 @@ def test_a_seed_gives_the_same_bits_and_another_seed_others() -> None:
     assert not np.array_equal(first, other)
 
 
+@pytest.mark.thorough
 def test_processes_give_the_same_bits_and_every_epoch() -> None:
     X, Y = surface()
     told = {1: [], 2: []}
@@ -245,6 +246,7 @@ def test_processes_give_the_same_bits_and_every_epoch() -> None:
     assert len(seen[0]) == 2 * 21
 
 
+@pytest.mark.thorough
 def test_a_callback_that_raises_ends_the_processes() -> None:
     def enough(epoch):
         raise KeyboardInterrupt
@@ -276,6 +278,7 @@ def test_processes_end_when_their_parent_is_killed(tmp_path) -> None:
     assert out == "" or set(out.split()) <= {"0", "1"}
 
 
+@pytest.mark.thorough
 def test_training_ends_at_the_target() -> None:
     history = train(MLP, *surface(), epochs=500, target_rmse=1e-4).histories[1]
     assert history.stopped == "target"

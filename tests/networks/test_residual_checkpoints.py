@@ -37,6 +37,7 @@ def fitted(folder: Path | None, stop_at: int = 0) -> tuple[ResidualNetwork, int]
     return model.fit(known(), nominal()), len(told)
 
 
+@pytest.mark.thorough
 def test_a_fit_goes_on_where_the_training_of_its_physics_stood(tmp_path: Path) -> None:
     whole, epochs = fitted(None)
     assert epochs == 2 * len((*PHYSICS, "network-1", "network-2"))

@@ -53,6 +53,7 @@ def test_bands_hold_what_they_promise_on_trajectories_nobody_has_seen() -> None:
     assert np.mean(model().coverage_["share"]) == pytest.approx(0.9, abs=0.05)
 
 
+@pytest.mark.thorough
 def test_noise_is_left_alone() -> None:
     data = moving(1, 2, 3, 4, noise_a=0.05)
     dropped = unfitted(base={"estimator": "rigid-wls"}).fit(data, nominal())

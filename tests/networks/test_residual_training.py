@@ -124,6 +124,7 @@ def test_a_joint_that_never_moves_and_has_no_residual_is_learned_as_nothing() ->
     assert np.abs(out[:, 0]).max() < 0.05 * np.abs(out[:, 1]).max()
 
 
+@pytest.mark.thorough
 def test_friction_that_lags_behind_reversals_is_learned_from_motion_alone() -> None:
     """A residual with memory: a first-order lag of sign(q̇), unseen by any memoryless model."""
     recorded, residual = _lagging()

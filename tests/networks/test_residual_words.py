@@ -43,6 +43,7 @@ def test_the_papers_torque_and_its_network_are_judged_on_the_filtered_torque() -
     assert max(held, ours) < 0.5
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("inputs", "latency_s", "age_ms"),
     [("measured", 0.02, 10.0), ("history", 0.02, 20.0), ("history", 0.012, 20.0)],

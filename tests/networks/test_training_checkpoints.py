@@ -57,6 +57,7 @@ def test_an_interrupted_training_ends_with_the_same_bits(tmp_path: Path, after: 
     assert watch.told[0].epoch == after
 
 
+@pytest.mark.thorough
 def test_a_training_interrupted_twice_ends_with_the_same_bits(tmp_path: Path) -> None:
     interrupted(tmp_path, 4)
     interrupted(tmp_path, 4)

@@ -151,6 +151,7 @@ def test_a_plan_survives_json_with_its_hash(plan_of_kind: Any) -> None:
     assert again.hash == plan.hash
 
 
+@pytest.mark.thorough
 def test_the_same_spec_gives_the_same_plan_in_another_process() -> None:
     code = "from tests.support.plan_parts import plan_of; print(plan_of().hash)"
     environment = {**os.environ, "PYTHONHASHSEED": "12345"}
@@ -343,6 +344,7 @@ def test_no_room_for_a_default_reference_pose_names_the_ways_out(
         assert way in error.value.hint
 
 
+@pytest.mark.thorough
 def test_a_start_nearer_than_the_clearance_names_it_and_no_interlock() -> None:
     start = np.radians([0.0, -90.0, 150.0, -90.0, 0.0, 0.0])
     inside = {"kind": "workspace", "min_m": [-2, -2, -2], "max_m": [2, 2, 2]}
@@ -387,6 +389,7 @@ def test_runs_can_resume_before_every_pose() -> None:
         assert not any(s.measures for s in steps[group:first])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["ur3e", "ur10"])
 def test_other_arms_are_planned_for_too(name: str) -> None:
     plan = plan_of(ur5(name), robot=name, excitation={"kind": "dwell", "waypoints": 3})

@@ -53,6 +53,7 @@ def slowly(motion, speed):
     return Commissioning(speed=speed).of(plan_of(Step(0, "trajectory", motion))).steps[0].motion
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("motion", [line(), SERIES])
 def test_a_slower_motion_has_the_same_path(motion):
     slow = slowly(motion, 0.1)
@@ -187,6 +188,7 @@ def kinds(plan):
     return {step.kind for step in plan}
 
 
+@pytest.mark.thorough
 def test_a_slow_run_has_no_warm_up_and_is_otherwise_the_whole_program():
     plan = built(Commissioning(speed=0.1), **MEASURED_WELL)
     assert kinds(plan) == {"payload", "weigh", "move", "dwell", "reference"}
@@ -201,6 +203,7 @@ def test_a_short_run_has_neither_warm_up_nor_reference_nor_payload_check():
     assert plan.whole == 12  # six poses with each of two loads
 
 
+@pytest.mark.thorough
 def test_a_short_run_begins_with_the_pose_that_is_nearest_to_the_arm():
     here = np.radians([0, -90, 0, -90, 0, 0])
     whole = built(None, start_q=here)
@@ -214,6 +217,7 @@ def test_a_short_run_begins_with_the_pose_that_is_nearest_to_the_arm():
     assert short.duration_s < 5.0
 
 
+@pytest.mark.thorough
 def test_a_run_at_full_speed_that_is_cut_after_some_seconds_is_as_short():
     here = np.radians([0, -90, 0, -90, 0, 0])
     plan = built(Commissioning(first_s=12.0), start_q=here, warm_up={"duration_s": 60})
@@ -235,6 +239,7 @@ def test_margins_are_those_of_the_motions_that_are_executed():
     assert slow.margins["robot_velocity_rad_s"] > whole.margins["robot_velocity_rad_s"]
 
 
+@pytest.mark.thorough
 def test_a_commissioning_plan_is_not_blamed_for_what_only_a_fit_needs():
     shown = preview(built(Commissioning(first=1), **MEASURED_WELL))
     assert shown.warnings == ()

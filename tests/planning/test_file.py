@@ -19,6 +19,7 @@ from tests.support.fuzzing import damaged, examples, quick_folder
 from tests.support.random_plans import plans, small_plan
 
 
+@pytest.mark.thorough
 @examples(50)
 @given(plans())
 def test_every_plan_comes_back_equal_from_its_json_text(plan: Plan) -> None:

@@ -54,6 +54,7 @@ def test_a_motion_outside_the_workspace_is_refused_with_step_and_by_how_much() -
     assert "flange 12.3 mm beyond z of min_m" in caught.value.message
 
 
+@pytest.mark.thorough
 def test_a_plan_that_comes_closer_than_the_clearance_interlock_allows_is_refused() -> None:
     closest = usual_plan().margins["clearance_m"]
     plan_of(interlocks=[{"kind": "clearance", "least_m": closest - 0.001}])
@@ -66,6 +67,7 @@ def experiment(**changes: object) -> Experiment:
     return Experiment(spec_of(**changes), station, station.robots["ur5"], "", "", "", Path())
 
 
+@pytest.mark.thorough
 def test_the_preview_shows_what_will_watch_and_what_will_not() -> None:
     entries = [{"kind": "temperature", "limit_c": 70, "action": "pause"}]
     plan, shown = preview_experiment(experiment(interlocks=entries))

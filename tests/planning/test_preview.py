@@ -115,12 +115,14 @@ def test_the_picture_shades_every_dwell_it_looks_closer_at() -> None:
     assert len(panel.curves) == 6
 
 
+@pytest.mark.thorough
 def test_the_picture_names_joints_and_limits(tmp_path: Path) -> None:
     written = plan_picture(fourier_plan(), tmp_path / "plan.svg").read_text("utf-8")
     for words in ("1 shoulder pan", "6 wrist 3", "limit: 100 °/s, 300 °/s²", "2 trajectories"):
         assert words in written
 
 
+@pytest.mark.thorough
 def test_colours_of_the_picture_follow_the_screen(tmp_path: Path) -> None:
     written = plan_picture(fourier_plan(), tmp_path / "plan.svg").read_text("utf-8")
     fixed = set(re.findall(r"(?:fill|stroke): (#[0-9a-f]{6})", written)) - {"#ffffff"}

@@ -126,6 +126,7 @@ def test_the_heaviest_load_can_be_held_at_every_pose() -> None:
     assert (torque <= 0.8 * load_arm("ur5").effort_max).all()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("poses", [1, 3])
 def test_the_spec_says_how_many_poses_and_the_first_ones_stay(poses: int) -> None:
     chosen = sweep({}, CYLINDER, HEAVY, weigh={"poses": poses})
@@ -134,6 +135,7 @@ def test_the_spec_says_how_many_poses_and_the_first_ones_stay(poses: int) -> Non
     np.testing.assert_array_equal(positions(chosen, 1)[:shared], positions(plan(), 1)[:shared])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("off", [False, None, {"poses": 0}])
 def test_weighing_can_be_switched_off(off: object) -> None:
     chosen = sweep({}, CYLINDER, weigh=off)
@@ -141,6 +143,7 @@ def test_weighing_can_be_switched_off(off: object) -> None:
     assert chosen.weigh_dwell is None
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("loads", "reason"),
     [
@@ -167,6 +170,7 @@ def test_a_sweep_is_weighed_unless_the_gains_are_unknown() -> None:
     assert "drive gains" in told
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("arm", ["ur3e", "lab6"])
 def test_other_arms_are_weighed_on_too(arm: str) -> None:
     chosen = sweep(*bodies(0, 2), arm=arm)

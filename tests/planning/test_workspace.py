@@ -110,6 +110,7 @@ def test_optimised_trajectories_stay_inside_the_box(
     assert plan.condition_number < 100
 
 
+@pytest.mark.thorough
 def test_a_box_is_part_of_what_optimised_trajectories_are_kept_under(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -133,6 +134,7 @@ def test_a_box_that_is_switched_off_changes_no_plan() -> None:
     assert plan_of(interlocks=[off]).hash == plan_of().hash
 
 
+@pytest.mark.thorough
 def test_a_resumed_run_comes_back_inside_the_box() -> None:
     sides = BOXES["in front"]
     spec = spec_of(interlocks=[box(*sides)])
@@ -179,6 +181,7 @@ def test_too_small_a_box_names_poses_side_and_excess() -> None:
     assert "move that side of the workspace interlock outwards" in error.hint
 
 
+@pytest.mark.thorough
 def test_dwell_poses_that_cannot_be_reached_name_the_side() -> None:
     error = refusal(interlocks=[box([-2, -2, 0.4], [2, 2, 0.445])])
     assert re.search(r"dwell poses: only \d+ of \d+ clear poses", error.message)
@@ -194,6 +197,7 @@ def test_trajectories_without_room_name_the_side() -> None:
     assert re.search(r"mm (beyond|inside) z of (min|max)_m \(interlocks.0\)", error.message)
 
 
+@pytest.mark.thorough
 def test_optimised_trajectories_without_room_name_the_side(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -220,6 +224,7 @@ def test_a_reference_pose_outside_the_box_is_refused_before_anything_is_planned(
 FOUR_POSES = "".join(f"{8 * i},-90,{80 + 4 * i},-80,-90,0\n" for i in range(4))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "sides",
     [([-0.55, -0.35, 0.34], [-0.32, -0.02, 0.62]), ([-0.51, -0.31, 0.38], [-0.36, -0.06, 0.58])],
@@ -237,6 +242,7 @@ def test_a_file_in_a_small_box_is_planned_from_a_pose_of_it(
     assert depth(plan, *sides) >= CLEARANCE_M - 1e-9
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("top_m", "lower"), [(0.51, True), (0.4, False)])
 def test_the_hint_for_poses_too_near_to_a_side_names_every_way_out(
     tmp_path: Path, top_m: float, lower: bool

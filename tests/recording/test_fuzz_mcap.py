@@ -75,6 +75,7 @@ def record(opcode: int, content: bytes, length: int | None = None) -> bytes:
 lengths = st.none() | st.sampled_from([0, 1, 9, 2**31, 2**32, 2**63, 2**64 - 1])
 
 
+@pytest.mark.thorough
 @examples(120)
 @given(st.lists(st.tuples(opcodes, st.binary(max_size=80), lengths), max_size=8))
 def test_any_records(records: list[tuple[int, bytes, int | None]]) -> None:
@@ -82,6 +83,7 @@ def test_any_records(records: list[tuple[int, bytes, int | None]]) -> None:
     look_at(MAGIC + record(Opcode.HEADER, HEADER) + body + MAGIC)
 
 
+@pytest.mark.thorough
 @examples(60)
 @given(data=st.data())
 def test_records_of_a_recording_deleted_doubled_and_swapped(data: st.DataObject) -> None:

@@ -161,6 +161,7 @@ def test_several_documents_damaged_or_missing(data: st.DataObject) -> None:
         assert_viewable(root, run)
 
 
+@pytest.mark.thorough
 @examples(15)
 @given(data=st.data())
 def test_damaged_event_log(data: st.DataObject) -> None:

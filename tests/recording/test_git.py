@@ -23,6 +23,7 @@ def folder(tmp_path: Path) -> Path:
     return made
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("trap", TRAPS.values(), ids=TRAPS)
 def test_nothing_that_a_repository_configures_is_run(trap, folder: Path, tmp_path: Path) -> None:
     path, mark = program(tmp_path)

@@ -67,6 +67,7 @@ def test_nobody_holds_a_run_twice(tmp_path: Path) -> None:
     assert caught.value.hint == f"follow it with: hil watch {tmp_path}"
 
 
+@pytest.mark.thorough
 def test_those_who_look_keep_nobody_from_taking(tmp_path: Path) -> None:
     over = threading.Event()
 

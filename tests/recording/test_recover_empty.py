@@ -110,6 +110,7 @@ def test_file_by_itself_without_a_message_has_nothing_to_rescue(
         recover(alone)
 
 
+@pytest.mark.thorough
 def test_kill_at_any_byte_of_the_first_write_leaves_an_empty_part(
     run: RunDirectory, empty: Path, tmp_path: Path
 ) -> None:
@@ -123,6 +124,7 @@ def test_kill_at_any_byte_of_the_first_write_leaves_an_empty_part(
         assert [file.did for file in result.files] == ["empty"], (end, result.error)
 
 
+@pytest.mark.thorough
 def test_kill_at_any_byte_of_the_ending_of_an_empty_part_leaves_an_empty_part(
     run: RunDirectory, empty: Path, tmp_path: Path
 ) -> None:

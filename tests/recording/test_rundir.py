@@ -71,6 +71,7 @@ def test_a_place_where_no_run_can_be_is_not_blamed_on_a_full_disk(tmp_path: Path
     assert error.value.hint == "choose another place with --runs DIR"
 
 
+@pytest.mark.thorough
 def test_processes_that_create_runs_at_once_get_different_numbers(tmp_path: Path) -> None:
     context = multiprocessing.get_context("spawn")
     with context.Pool(4) as pool:

@@ -69,6 +69,7 @@ def test_every_page_keeps_the_rules(pages: dict[str, Page]) -> None:
     assert all(panels(page) for page in pages.values())
 
 
+@pytest.mark.thorough
 def test_no_page_loads_anything(pages: dict[str, Page]) -> None:
     for name, page in pages.items():
         html = Html(page_html(page))

@@ -43,6 +43,7 @@ def told(registry: Registry) -> list[ChartedProbe]:
     return charted_probes(registry, "ur5")
 
 
+@pytest.mark.thorough
 def test_bands_are_those_the_probes_were_judged_by(told) -> None:
     assert [one.chart.reference for one in told] == [one.probe.reference for one in told]
     for one in told:

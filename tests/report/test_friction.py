@@ -61,6 +61,7 @@ def plots_of(page: Page, title: str) -> Figure:
     return next(block for block in blocks if isinstance(block, Figure) and block.title == title)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "model",
     [RigidWls(), RigidIrls(exponent=False), RigidDiffnea(friction="coulomb-viscous")],
@@ -143,6 +144,7 @@ def test_dwells_of_unknown_approach_tell_nothing_about_friction() -> None:
     assert predict_with(model, unknown).friction.at_rest is None
 
 
+@pytest.mark.thorough
 def test_both_stand_on_the_pages_and_are_said_in_words(tmp_path) -> None:
     rest = plots_of(page := page_of(tmp_path / "d", dwell_plan()), figures.AT_REST)
     assert len(rest.panels) == 6

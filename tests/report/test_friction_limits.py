@@ -36,6 +36,7 @@ def drawn_of(model, data: Dataset, prediction: Prediction) -> Predictions:
     return predict_with(model, data, SimpleNamespace(predict=lambda model, data: prediction))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("model", "holds"),
     [

@@ -71,6 +71,7 @@ def evaluation_of(run):
     return json.loads(next(run.path.glob("fit/*/evaluation.json")).read_text())
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["dwell_page", "fourier_page"])
 def test_the_page_loads_nothing_from_anywhere(name, request):
     page = request.getfixturevalue(name)

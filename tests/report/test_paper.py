@@ -78,6 +78,7 @@ def test_no_panel_is_too_narrow_to_be_read() -> None:
     assert heights[1] < 3 * 50 * 72 / 25.4  # two
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("format_", ["pdf", "svg", "png"])
 def test_equal_figures_are_equal_files(format_: str) -> None:
     assert drawn(bars(), format_) == drawn(bars(), format_)
@@ -93,6 +94,7 @@ def test_a_long_line_is_thinned_and_keeps_its_extremes() -> None:
     assert streams_of(pdf) != streams_of(drawn(flat, "pdf"))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "panel",
     [

@@ -112,10 +112,12 @@ def test_colours_and_dashes_are_those_of_the_page(page: Path) -> None:
     assert "stroke-dasharray" in dashed[0]
 
 
+@pytest.mark.thorough
 def test_equal_plots_are_equal_files(page: Path) -> None:
     assert drawn(read(page, "bars"), "pdf") == drawn(read(page, "bars"), "pdf")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("days", [0.001, 0.04, 1, 2, 9, 40, 90, 400, 4000])
 def test_dates_are_told_over_any_span(days: float) -> None:
     ends = [str(np.datetime64("2026-11-22T10:00:00") + np.timedelta64(round(86400 * days * k), "s"))
@@ -163,6 +165,7 @@ def test_what_is_no_page_of_hil_is_told(text: str, told: str, tmp_path: Path) ->
         figures_of(file)
 
 
+@pytest.mark.thorough
 def test_a_page_of_before_is_drawn_too(tmp_path: Path) -> None:
     out = tmp_path / "old"
     done = CliRunner().invoke(app, ["figures", str(OLD), "-o", str(out)])

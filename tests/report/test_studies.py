@@ -95,6 +95,7 @@ def test_uncertainty_of_a_long_line_is_drawn_as_its_edges() -> None:
     assert "error_y" in trace
 
 
+@pytest.mark.thorough
 def test_a_page_with_a_hundred_large_panels_stays_light() -> None:
     """Twenty figures of six panels, two series of 6500 points each; plotly itself is 2 MB."""
     x = np.arange(6500.0)

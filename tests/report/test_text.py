@@ -132,6 +132,7 @@ def test_lines_in_the_log_that_are_no_events_are_counted(tmp_path):
                             "wrote into it"]  # fmt: skip
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["plan.json", "start.json"])
 @pytest.mark.parametrize("content", ['{"steps": 3}', "{}", "{", "[]"])
 def test_a_run_with_a_damaged_document_is_not_offered_to_be_resumed(tmp_path, name, content):

@@ -54,6 +54,7 @@ def other_arm_in_its_own_process() -> Robot:
 ALWAYS = len(BEFORE_AND_AFTER) + len(CONNECTED) + len(BENCH)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "make_robot", [KinematicRobot, embedded_mock, kinematic_in_its_own_process]
 )

@@ -307,6 +307,7 @@ def test_a_whole_run_goes_through_a_driver_in_its_own_process(tmp_path: Path) ->
     assert (report.outcome, report.verdict, report.gaps) == ("completed", "passed", 0)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("member", ["_open", "_ask"])
 def test_a_stop_while_connecting_refuses_and_closes(
     make: Make, monkeypatch: pytest.MonkeyPatch, member: str

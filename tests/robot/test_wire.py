@@ -109,6 +109,7 @@ HEADERS = st.recursive(
 )
 
 
+@pytest.mark.thorough
 @settings(deadline=None, max_examples=300)
 @given(
     head=st.binary(max_size=60) | HEADERS.map(lambda h: json.dumps(h).encode()),

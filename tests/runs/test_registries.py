@@ -71,6 +71,7 @@ def test_runs_that_are_only_named_count_too(runs: Path, tmp_path: Path) -> None:
     assert registries_of(runs) == [tmp_path / "lab"]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("spoilt", ["moved", "unmounted", "garbled"])
 def test_a_registry_that_is_noted_and_not_there_keeps_everything(
     spoilt: str, runs: Path, registry: Path

@@ -32,6 +32,7 @@ def whys(root: Path, models: Path) -> list[str]:
     return [one.why for one in decide(root, ALL, [models], in_a_while)]
 
 
+@pytest.mark.thorough
 def test_a_renamed_run_stays_by_the_rows_that_the_model_remembers(tmp_path: Path) -> None:
     runs, models = tmp_path / "runs", tmp_path / "models"
     made = three_runs(runs)
@@ -45,6 +46,7 @@ def test_a_renamed_run_stays_by_the_rows_that_the_model_remembers(tmp_path: Path
         whys(runs, models)
 
 
+@pytest.mark.thorough
 def test_one_of_two_that_was_renamed_stays_where_only_the_other_was_named(tmp_path: Path) -> None:
     runs, models = tmp_path / "runs", tmp_path / "models"
     made = three_runs(runs)

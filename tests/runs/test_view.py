@@ -211,6 +211,7 @@ def test_a_document_that_may_not_be_read_says_nothing_and_all_others_do(
     assert [fit["estimator"] for fit in facts["fits"]] == ["rigid-wls", "static-wls"]
 
 
+@pytest.mark.thorough
 def test_processes_may_ask_at_once(runs: Path) -> None:
     for number in range(10, 60):
         write_run(runs, number)

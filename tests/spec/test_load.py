@@ -88,6 +88,7 @@ def test_the_loaded_experiment_judges_on_the_load_it_did_not_fit() -> None:
     )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
 def test_every_shipped_experiment_runs_at_the_shipped_station(path: Path) -> None:
     spec = load_spec(path)

@@ -63,6 +63,7 @@ def cell(of: Table, row: str, column: str) -> Any:
     return next(values for values in of.rows if values[0] == row)[of.columns.index(column)]
 
 
+@pytest.mark.thorough
 def test_the_result_can_be_shown_and_survives_json(found: StudyResult) -> None:
     assert faults_of(found) == []
     again = StudyResult.from_dict(json.loads(json_document(found.to_dict())))

@@ -58,6 +58,7 @@ def cell(of: Table, row: str, column: str) -> Any:
     return next(values for values in of.rows if values[0] == row)[of.columns.index(column)]
 
 
+@pytest.mark.thorough
 def test_the_result_can_be_shown_and_survives_json() -> None:
     found = made()
     assert faults_of(found) == []
@@ -212,6 +213,7 @@ def test_a_fit_that_failed_is_told_as_such(
     assert failed == {"rigid-wls": "", "lagrangian": told}
 
 
+@pytest.mark.thorough
 def test_samples_lost_in_one_trajectory_cost_no_study() -> None:
     data = run_of(loaded=False)
     for lost in range(4):

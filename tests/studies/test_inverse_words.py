@@ -45,6 +45,7 @@ def test_fewer_than_three_seeds_rank_nothing() -> None:
     assert not apart(found(a=(1.0, 1.1), b=(9.0, 9.1)), "a", "b")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("seeds", "percent"), [(3, 7.4), (5, 1.1)])
 def test_equal_methods_are_ranked_as_rarely_as_documented(seeds: int, percent: float) -> None:
     random = np.random.default_rng(4)

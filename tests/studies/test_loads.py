@@ -207,6 +207,7 @@ def test_of_several_stored_models_only_what_none_has_seen_is_judged(tmp_path: Pa
     assert [name for name, _ in models] == [first.name, second.name]
 
 
+@pytest.mark.thorough
 def test_a_model_that_has_seen_everything_is_refused(tmp_path: Path) -> None:
     of = recorded_from(sweep(), nominal(), 20.0, 50.0)
     saved = RigidWls().fit(sweep().select(lambda c: c.load == 0), nominal()).save(tmp_path / "a")
@@ -357,6 +358,7 @@ def told_of(*loads: tuple[float, float, float]) -> list[str]:
     return list(warnings([UnderLoads("a", "honest", (bare, *scored), ())], ()))
 
 
+@pytest.mark.thorough
 def test_what_could_not_be_seen_is_said() -> None:
     assert told_of((1.0, 0.02, 0.05), (1.0, -0.02, 0.05)) == []
     assert any(note.startswith("a single load") for note in told_of((1.0, 0.0, 0.1)))

@@ -245,6 +245,7 @@ def test_progress_counts_every_fit_once(
     assert [done for _, done, _ in told] == list(range(total + 1))
 
 
+@pytest.mark.thorough
 def test_equal_parameters_give_equal_numbers(data: Dataset, found: StudyResult) -> None:
     asked = {**SMALL, "protocols": ["paper"], "figures": False}
     again = study("static-separation", **asked).run(data, robot())

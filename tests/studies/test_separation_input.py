@@ -153,6 +153,7 @@ def test_a_share_of_poses_can_be_held_out_once_instead_of_folds() -> None:
     assert "12 dwells of poses drawn at random are held out" in found.parts[1].text[0]
 
 
+@pytest.mark.thorough
 def test_the_paper_protocol_runs_without_the_honest_one() -> None:
     found = studied(program(40), **PAPER)
     assert [part.title for part in found.parts] == ["The recording", "As in the paper"]

@@ -132,6 +132,7 @@ def die() -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 
 
+@pytest.mark.thorough
 def test_a_process_that_dies_is_told_with_what_it_was_doing() -> None:
     with pytest.raises(FitError, match="a process died while training") as caught:
         run_tasks([Task(die), Task(die)], 2, "training", silent)

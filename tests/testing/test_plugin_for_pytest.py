@@ -171,6 +171,7 @@ def test_it():
 """
 
 
+@pytest.mark.thorough
 def test_who_uses_nothing_loads_nothing(tmp_path: Path) -> None:
     said = pytest_of_others(tmp_path, LIGHT)
     assert "1 passed" in said, said

@@ -127,6 +127,7 @@ def test_the_same_model_twice_is_one_version(given: Given, tmp_path: Path) -> No
     assert first.number == again.number == 1
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("payload", "load"),
     [
@@ -146,6 +147,7 @@ def test_a_load_is_a_number_a_text_or_a_payload_and_0_is_nothing_mounted(
     assert fitted.model.training_.payloads == (load,)
 
 
+@pytest.mark.thorough
 def test_recordings_come_one_by_one_or_in_a_list(given: Given) -> None:
     run, _ = given
     rows = len(hil.dataset(run))

@@ -197,6 +197,7 @@ def test_what_has_changed_needs_arming_again(
     called("reidentify", "weekly.yaml")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("verb", [("validate",), ("reidentify",), ("schedule", "arm")])
 @pytest.mark.parametrize(
     ("named", "words"),

@@ -150,6 +150,7 @@ def test_a_real_robot_is_not_even_connected_to_when_nobody_can_confirm(
     assert not (experiment.folder / "runs").exists()
 
 
+@pytest.mark.thorough
 def test_what_a_driver_says_once_it_is_connected_takes_no_confirmation_back(
     real: Callable[[str], None], experiment: hil.Experiment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -203,6 +204,7 @@ def test_any_other_answer_leaves_it_where_it_is(
     assert not (experiment.folder / "runs").exists()
 
 
+@pytest.mark.thorough
 def test_a_terminal_that_goes_away_confirms_nothing(
     real: object, experiment: hil.Experiment
 ) -> None:
@@ -212,6 +214,7 @@ def test_a_terminal_that_goes_away_confirms_nothing(
         run(experiment, TypedName(console))
 
 
+@pytest.mark.thorough
 def test_the_robot_is_not_held_forever_for_an_answer(
     real: object, experiment: hil.Experiment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -220,6 +223,7 @@ def test_the_robot_is_not_held_forever_for_an_answer(
         run(experiment, TypedName(FakeConsole("ur5")))
 
 
+@pytest.mark.thorough
 def test_a_signal_at_the_question_ends_as_documented(
     real: object, experiment: hil.Experiment
 ) -> None:
@@ -230,6 +234,7 @@ def test_a_signal_at_the_question_ends_as_documented(
     assert exit_code_of(ended.value) == 130
 
 
+@pytest.mark.thorough
 def test_a_fault_at_the_question_is_an_error_of_the_robot(
     real: object, experiment: hil.Experiment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -243,10 +248,12 @@ def test_a_fault_at_the_question_is_an_error_of_the_robot(
         run(experiment, TypedName(console))
 
 
+@pytest.mark.thorough
 def test_mocks_and_loopback_are_asked_nothing(experiment: hil.Experiment) -> None:
     assert "confirmation" not in document(run(experiment, Unconfirmed()))
 
 
+@pytest.mark.thorough
 def test_in_python_naming_the_robot_is_the_confirmation(
     real: object, experiment: hil.Experiment
 ) -> None:
@@ -328,6 +335,7 @@ def test_a_run_that_goes_on_with_an_arm_that_was_jogged_asks_again(
     assert facts["swept"]["joints"][0]["min_rad"] == pytest.approx(np.radians(-150))
 
 
+@pytest.mark.thorough
 def test_what_is_armed_goes_on_with_an_arm_that_was_jogged(
     real: object, experiment: hil.Experiment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -494,6 +502,7 @@ def command(experiment: hil.Experiment, *words: str) -> int:
     return exit_code_of(ended.exception) if ended.exception else ended.exit_code
 
 
+@pytest.mark.thorough
 def test_the_command_line_needs_yes_where_there_is_no_terminal(
     real: object, experiment: hil.Experiment
 ) -> None:
@@ -504,6 +513,7 @@ def test_the_command_line_needs_yes_where_there_is_no_terminal(
     assert json.loads(start.read_text("utf-8"))["confirmation"]["how"] == "--yes"
 
 
+@pytest.mark.thorough
 def test_the_command_line_takes_what_was_confirmed_elsewhere(
     real: object, experiment: hil.Experiment
 ) -> None:

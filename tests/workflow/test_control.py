@@ -155,6 +155,7 @@ def test_a_stop_asked_for_while_a_resumed_run_connects_is_obeyed(tmp_path: Path)
     assert list(tmp_path.glob(".control")) == []
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "content",
     [

@@ -45,6 +45,7 @@ def test_a_recording_that_cannot_be_finished_is_a_failed_run(
     assert not (report.run / "fit").exists()
 
 
+@pytest.mark.thorough
 def test_a_failed_preflight_moves_nothing_and_is_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -60,12 +61,14 @@ def test_a_failed_preflight_moves_nothing_and_is_kept(
     assert stop["steps_done"] == 0
 
 
+@pytest.mark.thorough
 def test_preflight_is_run_and_kept(tmp_path: Path) -> None:
     report = hil.run(hil.load(DWELL), runs=tmp_path)
     checks = json.loads((report.run / "preflight.json").read_text("utf-8"))["checks"]
     assert {"limits", "pose", "payload"} <= {check["name"] for check in checks}
 
 
+@pytest.mark.thorough
 def test_what_an_observer_broke_is_in_the_stop_document(tmp_path: Path) -> None:
     class Raises:
         def notify(self, event: Any) -> None:
@@ -77,6 +80,7 @@ def test_what_an_observer_broke_is_in_the_stop_document(tmp_path: Path) -> None:
     assert any("plot window closed" in problem for problem in stop["problems"])
 
 
+@pytest.mark.thorough
 def test_a_second_signal_during_the_stop_changes_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -182,6 +186,7 @@ def test_a_signal_before_the_motion_still_leaves_a_whole_directory(
     assert not list(report.run.glob("recording/*.partial"))
 
 
+@pytest.mark.thorough
 def test_a_disk_that_fills_up_before_the_motion_leaves_a_failed_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -195,6 +200,7 @@ def test_a_disk_that_fills_up_before_the_motion_leaves_a_failed_run(
     assert RunDirectory.open(run).status == "failed"
 
 
+@pytest.mark.thorough
 def test_a_robot_that_cannot_be_closed_takes_no_finished_run_back(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -47,6 +47,7 @@ def written(root: Path, rest: str) -> Path:
     return path
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("rest", "told", "extras"),
     [

@@ -83,6 +83,7 @@ def test_a_start_from_the_dashboard_refuses_them_as_well(tmp_path: Path) -> None
     assert len(check_start(path, None, commissioning=Commissioning(first=2))) == 1
 
 
+@pytest.mark.thorough
 def test_a_commissioning_run_is_not_judged_and_may_be_small(tmp_path: Path) -> None:
     study = "\nstudy: [{study: static-separation}]\naccept: {rmse: {max: 1, unit: Nm}}"
     rest = SIX.replace("waypoints: 6", "waypoints: 3") + study
@@ -93,6 +94,7 @@ def test_a_commissioning_run_is_not_judged_and_may_be_small(tmp_path: Path) -> N
     assert json.loads(done.stdout)["outcome"] == "completed"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("rest", "message"),
     [

@@ -69,6 +69,7 @@ def test_a_robot_in_wall_time_is_not_connected_to(experiment, no_network):
     assert min(made.margins.values()) >= 0
 
 
+@pytest.mark.thorough
 def test_the_same_plan_follows_every_time(experiment, no_network):
     assert hil.plan(experiment).hash == hil.plan(experiment).hash
 

@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Sequence
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -74,6 +75,7 @@ def test_legs_are_all_the_steps_in_order(plan: Plan) -> None:
     assert [step for leg in legs_of(plan) for step in leg.steps] == list(plan)
 
 
+@pytest.mark.thorough
 @given(plans_partly_done(), st.booleans())
 @settings(max_examples=200)
 def test_exactly_what_is_missing_is_measured_in_the_order_of_the_plan(
@@ -85,6 +87,7 @@ def test_exactly_what_is_missing_is_measured_in_the_order_of_the_plan(
     assert left == missing
 
 
+@pytest.mark.thorough
 @given(plans_partly_done(), st.booleans(), st.floats(-1.0, 1.0))
 @settings(max_examples=200)
 def test_every_motion_begins_where_the_last_one_ended(

@@ -135,6 +135,7 @@ def test_a_stopped_run_goes_on_and_is_judged(
     assert not RunDirectory.open(run).verify()
 
 
+@pytest.mark.thorough
 def test_the_view_of_an_attempt_that_died_is_not_how_the_next_one_stands(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -154,6 +155,7 @@ def test_the_view_of_an_attempt_that_died_is_not_how_the_next_one_stands(
     assert list(run.glob(".control")) == []
 
 
+@pytest.mark.thorough
 def test_what_was_whole_is_not_measured_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -178,6 +180,7 @@ def test_the_dataset_of_a_resumed_run_has_every_dwell_once(
     assert len(counted) == 8
 
 
+@pytest.mark.thorough
 def test_files_of_the_first_attempt_stay_as_they_were(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -266,6 +269,7 @@ def test_a_complete_run_has_nothing_to_go_on_with(tmp_path: Path) -> None:
         hil.resume(report.run)
 
 
+@pytest.mark.thorough
 def test_another_plan_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run = stopped_run(tmp_path, monkeypatch, step=30)
     plan = json.loads((run / "plan.json").read_text("utf-8"))
@@ -275,6 +279,7 @@ def test_another_plan_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         hil.resume(run)
 
 
+@pytest.mark.thorough
 def test_another_robot_is_refused_and_nothing_is_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -344,6 +349,7 @@ class Told:
         monkeypatch.setattr(operator, "answer_as_mock", asked)
 
 
+@pytest.mark.thorough
 def test_no_other_load_is_declared_before_the_one_in_force_is_confirmed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -354,6 +360,7 @@ def test_no_other_load_is_declared_before_the_one_in_force_is_confirmed(
     assert told.said == ["Mount 2 kg", "2 kg"]
 
 
+@pytest.mark.thorough
 def test_going_back_to_an_earlier_load_is_asked_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -373,6 +380,7 @@ def plan_of_spec(folder: Path, text: str) -> Plan:
     return hil.plan(hil.load(path))
 
 
+@pytest.mark.thorough
 def test_motion_that_came_to_its_end_without_its_data_is_no_success(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -394,6 +402,7 @@ def test_motion_that_came_to_its_end_without_its_data_is_no_success(
     assert measured(report.run) == all_steps(report.run)
 
 
+@pytest.mark.thorough
 def test_another_mounting_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run = stopped_run(tmp_path, monkeypatch, step=30)
     station = json.loads((run / "station.yaml").read_text("utf-8").partition("\n")[2])

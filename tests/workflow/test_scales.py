@@ -28,6 +28,7 @@ def light(load: Payload) -> Payload:
     return replace(load, mass=load.mass / 3)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("kind", "gains"), [("torque", ()), ("current", GAINS)])
 def test_torques_and_currents_are_weighed_alike(kind: str, gains: tuple[float, ...]) -> None:
     scales = Scales(plan(), effort_kind=kind, gains=gains)
@@ -227,6 +228,7 @@ def test_stiff_joints_make_a_weighing_inconclusive_that_would_tell_otherwise() -
     assert [one.events[-1]["result"] for one in (smooth, stiff)] == ["passed", "inconclusive"]
 
 
+@pytest.mark.thorough
 def test_another_load_is_found_where_a_right_one_would_not_be_told_from_none() -> None:
     scales = Scales(sweep(*bodies(0, 0.1)), lambda load: replace(load, mass=3 * load.mass))
     with pytest.raises(PreflightFailed, match=r"0\.10 kg declared, 0\.30"):
@@ -244,6 +246,7 @@ def test_the_bare_flange_again_must_be_told_from_the_load_that_may_still_be_on(
     assert scales.events[-1]["differs_kg"] == mass
 
 
+@pytest.mark.thorough
 def test_loads_of_one_mass_and_different_centres_are_not_weighed_and_that_is_said() -> None:
     further = CYLINDER | {"com_m": [0, 0, 0.1]}
     plan = sweep(CYLINDER, further)
@@ -258,6 +261,7 @@ def test_a_single_load_is_not_worth_a_word() -> None:
     assert Scales(sweep(CYLINDER)).events == []
 
 
+@pytest.mark.thorough
 def test_events_are_plain_json() -> None:
     scales = Scales(sweep({}, CYLINDER, {}), friction_nm=0.0)
     scales.weigh()

@@ -177,6 +177,7 @@ def test_a_damaged_document_is_told(folder: SeriesGroup) -> None:
         SeriesGroup.open(folder.path)
 
 
+@pytest.mark.thorough
 def test_a_series_on_the_command_line(pair: Path, tmp_path: Path) -> None:
     runs = tmp_path / "runs"
     done = CliRunner().invoke(app, ["run", str(pair), "--runs", str(runs), "--json"])
@@ -218,6 +219,7 @@ def test_what_is_left_of_a_slow_series_is_run_as_slowly(series: Series, tmp_path
     assert asked == [slow]
 
 
+@pytest.mark.thorough
 def test_a_series_is_planned_with_the_options_it_is_run_with(pair: Path) -> None:
     durations = []
     for options in ((), ("--speed", "10%")):
@@ -227,6 +229,7 @@ def test_a_series_is_planned_with_the_options_it_is_run_with(pair: Path) -> None
     assert durations[1] > 5 * durations[0]
 
 
+@pytest.mark.thorough
 def test_a_plan_of_a_series_tells_how_long_all_of_it_takes(pair: Path) -> None:
     done = CliRunner().invoke(app, ["plan", str(pair), "--json"])
     told = json.loads(done.stdout)

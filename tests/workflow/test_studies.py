@@ -70,6 +70,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> RunReport:
         return run(root, "{study: counted, rounds: 2}", observers=[Watching()])
 
 
+@pytest.mark.thorough
 def test_a_run_makes_the_studies_of_its_spec(done: RunReport) -> None:
     assert (done.outcome, done.error) == ("completed", None)
     (found,) = studied(done)
@@ -143,6 +144,7 @@ def test_a_study_that_fails_costs_no_other(tmp_path: Path, ending: str, told: st
     assert [read_study(file).parameters["ending"] for file in study_files(path)] == [""]
 
 
+@pytest.mark.thorough
 def test_a_run_whose_study_fails_is_complete_and_told(tmp_path: Path) -> None:
     report = run(tmp_path, "{study: counted, ending: fails}")
     assert report.outcome == "completed"
@@ -151,6 +153,7 @@ def test_a_run_whose_study_fails_is_complete_and_told(tmp_path: Path) -> None:
     assert "The study counted could not be made" in " ".join(summary_lines(report.run))
 
 
+@pytest.mark.thorough
 def test_ctrl_c_leaves_the_run_complete_and_says_how_to_go_on(tmp_path: Path) -> None:
     report = run(tmp_path, "{study: counted}", "{study: counted, ending: ctrl-c}")
     assert isinstance(report.error, Stopped)

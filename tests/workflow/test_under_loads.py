@@ -161,6 +161,7 @@ def test_a_load_that_contradicts_its_declaration_is_named(
     assert (row["what"], row["value"], row["passed"]) == ("run (3 kg)", 1, False)
 
 
+@pytest.mark.thorough
 def test_a_run_that_lacks_loads_says_so_and_keeps_its_models(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -91,6 +91,7 @@ def earlier(run: Path) -> Any:
     return readings_of_earlier_attempts(plan, directory.recordings, can)
 
 
+@pytest.mark.thorough
 def test_the_right_load_passes_and_the_run_is_completed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, plan: Plan
 ) -> None:

@@ -56,6 +56,7 @@ def test_honest_loads_pass_on_every_robot(profile: str, seed: int) -> None:
     require_honest(profile, seed, *MASSES)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("profile", ["full", "ideal"])
 def test_one_kilogram_instead_of_three_is_found_and_named(profile: str) -> None:
     light = weigh(
@@ -87,6 +88,7 @@ def test_a_load_left_on_while_the_bare_flange_was_weighed_is_found() -> None:
     assert "against the 0.00 kg of load 0" in found.message
 
 
+@pytest.mark.thorough
 def test_a_load_left_on_when_the_bare_flange_comes_again_is_found() -> None:
     plan = sweep({}, CYLINDER, {})
     declared: list[Payload] = []
@@ -102,6 +104,7 @@ def test_a_load_left_on_when_the_bare_flange_comes_again_is_found() -> None:
     assert 0.05 < found.events[2]["deviation_kg"] < 0.2
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("profile", ["full", "ideal"])
 def test_a_mount_turned_by_half_a_turn_is_found_by_its_centre_of_mass(profile: str) -> None:
     x, y, z = OFF_AXIS["com_m"]

@@ -55,6 +55,7 @@ def drive_after(state: State, word: int) -> State:
     return State.SWITCHED_ON
 
 
+@pytest.mark.thorough
 def test_every_statusword_tells_the_state_of_its_pattern():
     for word in range(1 << 16):
         bits = "".join(str(word >> bit & 1) for bit in (6, 5, 3, 2, 1, 0))

@@ -181,6 +181,7 @@ def test_the_current_is_what_the_drive_takes_for_that_torque():
     )
 
 
+@pytest.mark.thorough
 def test_true_motor_torque_by_eq_16_moves_the_arm_as_inverse_dynamics_says():
     """Constant speed: motor torque of the true drive minus gravity is friction, and no more."""
     arm = SixDrives(BENT).enabled(CSP)

@@ -110,6 +110,7 @@ def test_set_points_that_change_are_motions_where_no_master_announces_them() -> 
     assert began == [True, False, True, False]
 
 
+@pytest.mark.thorough
 def test_what_the_payload_objects_say_hangs_at_the_flange() -> None:
     with mock() as (drives, master):
         for sub, value in enumerate((3.0, 0.0, 0.01, 0.05), start=1):

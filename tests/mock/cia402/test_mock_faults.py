@@ -158,6 +158,7 @@ def test_heartbeats_of_one_drive_are_lost(anew: tuple[HostedMock, Master]) -> No
     assert master.upload(5, 0x1017) == 20
 
 
+@pytest.mark.thorough
 def test_a_drive_that_reboots_is_dark_and_comes_back_as_after_power_on(
     enabled: tuple[HostedMock, Master, list[int]],
 ) -> None:

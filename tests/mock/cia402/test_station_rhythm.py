@@ -53,6 +53,7 @@ def test_1006h_counts_where_60c2h_was_never_written() -> None:
     assert desk.unit(1).drive._axis.period_steps == 2
 
 
+@pytest.mark.thorough
 def test_each_axis_interpolates_over_its_own_period() -> None:
     desk = Desk()
     desk.write(1, 0x60C2, 1, "B", 4)

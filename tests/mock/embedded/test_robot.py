@@ -98,6 +98,7 @@ def test_reported_velocity_is_exactly_zero_at_rest(robot):
     assert (robot.read()["qd"] == 0.0).all()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("profile", ["full", "ideal"])
 def test_same_seed_gives_the_same_bytes_and_another_seed_others(profile):
     def record(seed):

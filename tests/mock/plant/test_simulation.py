@@ -51,6 +51,7 @@ def static_torque(truth, q, payload=NOTHING):
     return plant.inverse(q, zero, zero)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("profile", ["full", "ideal"])
 def test_1_khz_and_4_khz_agree_within_noise(profile):
     truth = draw_truth("ur5", 7, profile)
@@ -111,6 +112,7 @@ def test_stuck_friction_is_spread_and_not_always_saturated():
     assert (np.abs(shares).min(axis=0) < 0.6).all()
 
 
+@pytest.mark.thorough
 def test_ideal_current_is_rigid_body_plus_coulomb_viscous_through_the_gain():
     truth = draw_truth("ur5", 8, "ideal")
     simulation = switched_on(truth)

@@ -45,6 +45,7 @@ def press(machine, what):
     return pressed(machine, {"do": "pendant", "press": what})
 
 
+@pytest.mark.thorough
 def test_its_help_shows_its_own_options_with_their_defaults():
     done = hil("mock", "ur", "--help", COLUMNS="60")
     assert done.returncode == 0, done.stderr
@@ -59,6 +60,7 @@ def test_its_help_shows_its_own_options_with_their_defaults():
     assert "a second mock takes another one, such as 127.0.0.2" in told
 
 
+@pytest.mark.thorough
 def test_the_help_of_the_command_is_still_there():
     for asked in (("mock", "--help"), ("mock", "-h"), ("mock", "embedded", "--help")):
         done = hil(*asked)
@@ -197,6 +199,7 @@ def test_a_stop_is_caused_and_released_from_a_shell():
         assert TELL.ask((mock.address, 30100), {"do": "state"})["safety_mode"] == "NORMAL"
 
 
+@pytest.mark.thorough
 def test_where_no_mock_runs_that_is_said():
     done = hil("mock", "ur", "tell", "--address", loopback(), "state")
     assert done.returncode == 4

@@ -546,6 +546,7 @@ def test_moving_until_contact_stops_and_goes_back_to_where_it_was():
     assert found == pytest.approx(height, abs=2e-3)
 
 
+@pytest.mark.thorough
 def test_a_contact_that_is_watched_for_ends_the_move():
     client = Client("ur5e")
     client.go()

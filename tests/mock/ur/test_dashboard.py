@@ -393,6 +393,7 @@ def test_giving_back_the_operational_mode_satisfies_what_clients_match(e_series,
     assert e_series.ask("get operational mode") == mode
 
 
+@pytest.mark.thorough
 def test_the_dashboard_example_of_urs_client_library(e_series):
     """What it says and what it waits for, in its order; read in its source, not run."""
     dialogue = [

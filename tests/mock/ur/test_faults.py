@@ -285,6 +285,7 @@ def aside(machine):
     machine.move(movej(machine.setpoint[0] + 0.5, 1.0, 2.0, machine.tick_s))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("kind", "safety", "code"),
     [

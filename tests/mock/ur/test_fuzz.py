@@ -243,6 +243,7 @@ def sound(controller):
     assert b"Robotmode: " in controller.clients[DASHBOARD][0].sent
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("arm", ["ur5", "ur5e"])
 @examples(15)
 @given(st.booleans(), st.lists(said, min_size=1, max_size=25))

@@ -67,6 +67,7 @@ def matrix(pose):
     return homogeneous
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", UR_ARMS)
 @given(q=JOINTS, qd=JOINTS, tcp=TOOLS)
 @settings(max_examples=40, deadline=None)
@@ -118,6 +119,7 @@ def regular(q):
     return min(abs(np.sin(q[4])), abs(np.sin(q[2]))) > 0.1
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", UR_ARMS)
 @given(q=JOINTS.filter(regular), tcp=TOOLS)
 @settings(max_examples=40, deadline=None)

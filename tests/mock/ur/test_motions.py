@@ -305,6 +305,7 @@ class TestPaths:
         assert path[-1, 0] == pytest.approx(legs[-1].target, abs=1e-9)
         assert at_rest(path[-1])
 
+    @pytest.mark.thorough
     @given(radius=st.floats(0.0, 0.1), seed=st.integers(0, 10**6), sliders=SLIDERS)
     @settings(max_examples=12, deadline=None)
     def test_blended_tool_moves_keep_speed_and_acceleration(self, radius, seed, sliders):
@@ -384,6 +385,7 @@ def served(lookahead, gain, seconds=10.0, tick=CB3):
 
 
 class TestServoJ:
+    @pytest.mark.thorough
     @pytest.mark.parametrize(
         ("lookahead", "gain", "lag"),
         [(0.03, 300, 0.03), (0.1, 300, 0.1), (0.2, 300, 0.2), (0.1, 1200, 0.05), (0.1, 100, 0.173)],
@@ -516,6 +518,7 @@ class TestSpeeds:
 
 
 class TestStops:
+    @pytest.mark.thorough
     @given(qd=st.lists(st.floats(-3, 3), min_size=6, max_size=6).map(np.array), a=ACCELERATIONS)
     def test_stopj_keeps_the_direction_and_its_deceleration(self, qd, a):
         path = play(StopJoints(a, CB3), qd=qd)

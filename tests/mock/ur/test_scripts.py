@@ -201,6 +201,7 @@ def test_servoj_and_speedj_in_a_program(station):
     assert station.told("error") == []
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("lines", "said"),
     [
@@ -360,6 +361,7 @@ def test_what_is_shown_of_a_list_has_an_end(station):
     assert len(station.told("text")[0]) <= LONGEST_SHOWN + 2
 
 
+@pytest.mark.thorough
 def test_long_lists_take_time_of_the_program_not_of_the_controller(station):
     """Steps without waiting cost a tick; going through a list counts as many."""
     add = "+".join(["a"] * 20)
@@ -411,6 +413,7 @@ def test_power_lines_are_obeyed_and_are_no_programs(arm, powered):
     assert station.events == []
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "line",
     ["set robotmode run", "set robotmode freedrive", "set sim", "set real", "power on",
@@ -456,6 +459,7 @@ def test_the_speed_slider_has_a_line_of_its_own(station):
     assert station.events == []
 
 
+@pytest.mark.thorough
 def test_local_control_ignores_these_lines_too():
     station = Station("ur5e")
     station.machine.modes.remote = False
