@@ -30,6 +30,9 @@ GROUPS = {
 }
 """What each entry-point group holds, in words."""
 
+NAMED_BY = {"hil.estimators": "estimator"}
+"""Attribute of the classes of a group that is the name in model files: the entry point's."""
+
 EXTRA_OF_MODULE = {
     "mujoco": "mock",
     "numba": "mock",
@@ -84,8 +87,8 @@ def load(group: str, name: str) -> Any:
     """Import the plug-in called `name`.
 
     Raises:
-        PluginError: No plug-in has that name, two distributions claim it, or its import fails
-            (the cause is in the message and in `__cause__`).
+        PluginError: No plug-in has that name, two distributions claim it, its import fails (the
+            cause is in the message and in `__cause__`), or its class has another name.
     """
     return load_point(find(group, name))
 
@@ -94,10 +97,11 @@ def load_point(point: EntryPoint) -> Any:
     """Import what an entry point names.
 
     Raises:
-        PluginError: Its import fails; the cause is in the message and in `__cause__`.
+        PluginError: Its import fails (the cause is in the message and in `__cause__`), or it is a
+            class that has another name than the entry point.
     """
     try:
-        return point.load()
+        loaded = point.load()
     # A plug-in that calls sys.exit while it is imported must not end the whole program.
     except (Exception, SystemExit) as error:
         kind = _kind(point.group)
@@ -106,6 +110,22 @@ def load_point(point: EntryPoint) -> Any:
             raise not_installed(f"the {kind} {point.name!r}", [missing], extra) from error
         message = f"the {kind} {point.name!r} ({point.value}) does not load: {_cause(error)}"
         raise PluginError(message, hint=_remedy(error, point)) from error
+    _require_name(point, loaded)
+    return loaded
+
+
+def _require_name(point: EntryPoint, loaded: Any) -> None:
+    """Refuse a class whose results nobody could load again: they name the class by itself."""
+    attribute = NAMED_BY.get(point.group)
+    if attribute is None or not isinstance(loaded, type):
+        return
+    name = getattr(loaded, attribute, "")
+    if name != point.name:
+        raise PluginError(
+            f"{loaded.__name__}.{attribute} is {name!r}, "
+            f"but its entry point is called {point.name!r}",
+            hint=f'set {attribute} = "{point.name}" in the class',
+        )
 
 
 def _kind(group: str) -> str:

@@ -96,6 +96,21 @@ def test_a_broken_plugin_says_why_and_what_to_install(
     assert caught.value.__cause__ is not None
 
 
+@pytest.mark.parametrize(("body", "name"), [("pass", "''"), ("estimator = 'other'", "'other'")])
+def test_an_estimator_must_have_the_name_of_its_entry_point(
+    monkeypatch: pytest.MonkeyPatch, module: Path, body: str, name: str
+) -> None:
+    module.write_text(f"class MyMethod:\n    {body}\n")
+    point = EntryPoint("my-method", "lab_driver:MyMethod", "hil.estimators")
+    monkeypatch.setattr(plugins, "entry_points", lambda *, group: [point])
+
+    with pytest.raises(PluginError) as caught:
+        plugins.load("hil.estimators", "my-method")
+    expected = f"MyMethod.estimator is {name}, but its entry point is called 'my-method'"
+    assert caught.value.message == expected
+    assert caught.value.hint == 'set estimator = "my-method" in the class'
+
+
 def test_a_name_claimed_twice_is_nobodys(monkeypatch: pytest.MonkeyPatch) -> None:
     offer(monkeypatch, lab="a:b", lab_="c:d")
 

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import inspect
 import re
+import sys
+from importlib.metadata import EntryPoint
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -12,12 +15,13 @@ from hil.core import plugins
 from hil.core.yaml import scalar
 from hil.data.filters import FilterSettings
 from hil.data.splits import SAMPLE_SPLIT_PROTOCOL
-from hil.estimators import estimator
+from hil.estimators import estimator, load_model_file
 from hil.estimators.base import GROUP, HONEST
 from hil.estimators.static_model import PAPER_PROTOCOL
 from hil.networks.lagrangian_settings import LAGRANGIAN_CHOICES as OURS_LAGRANGIAN
 from hil.networks.residual_data import TRAINING, ResidualSettings
 from tests.support.paths import DOCS
+from tests.support.synthetic_motion import moving, nominal
 
 PAGE = (DOCS / "reference" / "estimators.md").read_text("utf-8")
 OURS = [name for name in plugins.names(GROUP) if plugins.load(GROUP, name).__module__[:4] == "hil."]
@@ -82,3 +86,24 @@ def test_the_training_of_a_network_is_told_as_it_is(name: str, used: dict[str, A
 def test_parameters_shown_in_the_example_are_accepted() -> None:
     made = estimator("rigid-wls", sign_width=0.02, filters={"velocity": 0.1})
     assert made.get_params()["filters"].velocity == 0.1
+
+
+def test_the_example_of_an_estimator_fits_and_its_model_file_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = (DOCS / "how-to" / "add-an-estimator.md").read_text("utf-8")
+    (source,) = re.findall(r"```python\n(.+?)```", page, re.DOTALL)
+    (tmp_path / "my_package").mkdir()
+    (tmp_path / "my_package" / "method.py").write_text(source, "utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    ((name, target),) = re.findall(r'^(my-\w+) = "(.+)"$', page, re.MULTILINE)
+    monkeypatch.setattr(plugins, "entry_points", lambda *, group: [EntryPoint(name, target, group)])
+    data = moving(1, 2, 3)
+
+    fitted = estimator(name, widening=2.0).fit(data, nominal())
+    read = load_model_file(fitted.save(tmp_path / "model"))
+
+    assert read.get_params() == fitted.get_params()
+    assert (read.predict(data).effort == fitted.predict(data).effort).all()
+    for module in ("my_package", "my_package.method"):
+        sys.modules.pop(module)

@@ -31,6 +31,8 @@ excitation:
 class Network:
     """An estimator with parameters, as a plug-in brings it."""
 
+    estimator = "network"
+
     def __init__(self, *, layers: tuple[int, ...] = (4, 1), epochs: int = 10) -> None:
         if epochs < 1:
             raise ValueError(f"epochs is {epochs}, but must be at least 1")
@@ -39,12 +41,20 @@ class Network:
 class AtRest:
     """An estimator for dwells, which can make do with slow stretches of motions."""
 
+    estimator = "at-rest"
     series_kinds = (("dwell",), ("trajectory",))
+
+
+class StaticWls(AtRest):
+    """The same under another name."""
+
+    estimator = "static-wls"
 
 
 class InMotion:
     """An estimator for trajectories, which can make do with moves."""
 
+    estimator = "in-motion"
     series_kinds = (("trajectory",), ("move",))
 
 
@@ -57,7 +67,7 @@ def anything(**parameters: object) -> dict[str, object]:
 def _estimators(monkeypatch: pytest.MonkeyPatch) -> None:
     group = "hil.estimators"
     points = [
-        EntryPoint("static-wls", "tests.spec.test_errors:AtRest", group),
+        EntryPoint("static-wls", "tests.spec.test_errors:StaticWls", group),
         EntryPoint("at-rest", "tests.spec.test_errors:AtRest", group),
         EntryPoint("in-motion", "tests.spec.test_errors:InMotion", group),
         EntryPoint("network", "tests.spec.test_errors:Network", group),

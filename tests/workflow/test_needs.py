@@ -191,6 +191,7 @@ def test_a_form_that_is_not_for_the_arm_is_refused_before_motion(tmp_path: Path)
 class Silent(StaticWls):
     """An estimator of somebody else's that states nothing."""
 
+    estimator = "silent"
     needs = None  # type: ignore[assignment]
 
 
