@@ -32,16 +32,22 @@ def runs(
     json: JsonFlag = False,
 ) -> None:
     """List run directories, newest last; interrupted and damaged ones too."""
+    from hil.recording import unreadable_folders
     from hil.runs import find_runs, list_runs
 
     searched = query or rebuild
     entries = find_runs(*(query or ()), runs=runs, rebuild=rebuild) if searched else list_runs(runs)
+    unreadable = unreadable_folders(runs)
+    for folder, why in unreadable:
+        typer.echo(f"warning: {folder}: {why}; runs in it are not listed", err=True)
     if json:
         print_json(entries)
     elif entries:
         print_table(*(_search_results(entries) if searched else _list(entries, runs)))
     elif query:
         say(f"no run under {runs} meets: {' '.join(query)}")
+    elif unreadable:
+        say(f"no runs under {runs} in folders that can be read")
     else:
         say(f"no runs under {runs}; make one with: hil run SPEC")
 

@@ -19,7 +19,7 @@ from hil.dashboard.catalogue import status_mark, verdict_mark
 from hil.dashboard.rendering import page
 from hil.dashboard.run_files import folder_at, report_address, run_address, run_name, run_named
 from hil.dashboard.settings import Settings, settings_of
-from hil.recording import FleetGroup, Member
+from hil.recording import FleetGroup, Member, unreadable_folders
 from hil.report import counted, when
 from hil.runs import listing_of
 
@@ -28,7 +28,9 @@ MOST_LISTED = 200
 
 def fleets(request: Request) -> Response:
     """Show all fleets, newest first."""
-    settings, problems = settings_of(request), list[str]()
+    settings = settings_of(request)
+    closed = unreadable_folders(settings.runs) + FleetGroup.unreadable(settings.runs)
+    problems = [f"{folder}: {why}; fleets in it are not listed" for folder, why in closed]
     folders = [one for one in reversed(FleetGroup.folders(settings.runs)) if FleetGroup.is_at(one)]
     rows = [_row(path, settings, problems) for path in folders[:MOST_LISTED]]
     return page(

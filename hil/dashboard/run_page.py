@@ -11,6 +11,7 @@ confirmed is shown first, as on the start page.
 
 from __future__ import annotations
 
+import os
 import secrets
 import time
 from asyncio import CancelledError
@@ -318,6 +319,11 @@ def facts_of_run(run: Path, settings: Settings) -> dict[str, Any]:
         settings: What is served.
     """
     files = {"files": listed_files(run, settings), "report": report_address(run, settings)}
+    try:
+        os.stat(os.path.join(run, "."))
+    except OSError as error:
+        text = f"Its folder cannot be opened: {error.strerror or error}"
+        return {"unreadable": text, "name": run.name, **files}
     if not (run / "start.json").is_file() and not (run / "plan.json").is_file():
         text = "There is neither start.json nor plan.json: nothing was begun here, or it was lost."
         return {"unreadable": text, "name": run.name, **files}

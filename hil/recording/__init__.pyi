@@ -33,6 +33,7 @@ from .run_directory import name_for_path as name_for_path
 from .run_directory import name_of_attempt as name_of_attempt
 from .run_directory import number_of as number_of
 from .run_directory import run_folders as run_folders
+from .run_directory import unreadable_folders as unreadable_folders
 from .run_group import FleetGroup as FleetGroup
 from .run_group import Member as Member
 from .run_group import SeriesGroup as SeriesGroup

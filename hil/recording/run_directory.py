@@ -389,11 +389,38 @@ def run_folders(runs_root: Path) -> list[Path]:
 def folders_in(parent: Path) -> list[Path]:
     """Return the folders in a folder, by name, without hidden ones; none if it is unreadable."""
     try:
-        with os.scandir(parent) as entries:
-            found = [entry for entry in entries if entry.is_dir()]
+        return _folders_in(parent)
     except OSError:
         return []
+
+
+def _folders_in(parent: Path) -> list[Path]:
+    with os.scandir(parent) as entries:
+        found = [entry for entry in entries if entry.is_dir()]
+    os.stat(os.path.join(parent, "."))  # refused where names may be read, but nothing be opened
     return sorted(Path(entry) for entry in found if not entry.name.startswith("."))
+
+
+def unreadable_folders(runs_root: Path) -> list[tuple[Path, str]]:
+    """Return the folders whose runs `run_folders` leaves out, each with what the system says.
+
+    They are the folder of runs itself, and the folders of days and robots.
+    """
+    unreadable: list[tuple[Path, str]] = []
+
+    def inside(folder: Path) -> list[Path]:
+        try:
+            return _folders_in(folder)
+        except (FileNotFoundError, NotADirectoryError):  # removed meanwhile
+            return []
+        except OSError as error:
+            unreadable.append((folder, error.strerror or str(error)))
+            return []
+
+    for day in inside(Path(runs_root)):
+        for robot in inside(day):
+            inside(robot)
+    return unreadable
 
 
 @dataclass(frozen=True, slots=True)

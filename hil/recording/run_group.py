@@ -185,6 +185,19 @@ class RunGroup:
         return [path for day in folders_in(runs) for path in folders_in(day / cls.kind)]
 
     @classmethod
+    def unreadable(cls, runs: Path) -> list[tuple[Path, str]]:
+        """Return the folders of this kind that may not be entered, with what the system says."""
+        refused = []
+        for path in cls.folders(runs):
+            try:
+                os.stat(cls.document_in(path))
+            except FileNotFoundError:
+                continue
+            except OSError as error:
+                refused.append((path, error.strerror or str(error)))
+        return refused
+
+    @classmethod
     def document_in(cls, path: Path) -> Path:
         """Return where the document of the group in a folder is."""
         return path / f"{cls.kind}.json"

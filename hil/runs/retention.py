@@ -40,6 +40,7 @@ from hil.recording import (
     folders_in,
     operator,
     run_folders,
+    unreadable_folders,
     utc_now,
 )
 from hil.runs.catalogue import find_runs
@@ -123,13 +124,14 @@ def decide(
     Raises:
         SpecError: The policy would delete every run, or a term cannot be understood.
         RegistryError: A registry cannot be read: then nothing may go.
-        DataError: The document of a series or of a run cannot be read.
+        DataError: A folder below `runs`, or the document of a series or of a run, cannot be read.
     """
     if policy.older is None and policy.keep is None:
         raise SpecError(
             "this policy would let every run go",
             hint="say which may: --older-than 180d, --keep 20 (of a robot and experiment), or both",
         )
+    _require_readable(runs)
     known = origins(registries)
     queried = {run["run"] for run in find_runs(*policy.terms, runs=runs)}
     # Every run is decided on, whatever the query: one that stays may keep the others of its group.
@@ -153,6 +155,17 @@ def decide(
             decisions[k] = Decision(one.run, why, guarded=True)
     groups = [*_series(runs), *_fleets(runs, [one.run for one in decisions])]
     return [one for one in _keep_groups(decisions, groups) if str(one.run) in queried]
+
+
+def _require_readable(runs: Path) -> None:
+    """Raise if runs, or groups that keep runs, may lie in folders that cannot be read."""
+    refused = unreadable_folders(runs) + SeriesGroup.unreadable(runs) + FleetGroup.unreadable(runs)
+    if refused:
+        raise DataError(
+            "\n".join(f"cannot read {folder}: {why}" for folder, why in refused),
+            hint="nothing is deleted before: what lies there may keep other runs; "
+            "see whether you may read it",
+        )
 
 
 def _measured_after(entries: Sequence[dict[str, Any]]) -> dict[str, int]:

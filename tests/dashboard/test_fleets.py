@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("starlette", reason='the dashboard: pip install "hil[web]"')
 
 from hil.recording.run_group import FleetGroup, Member
-from tests.support.catalogue_runs import write_run
+from tests.support.catalogue_runs import close_folders, write_run
 from tests.support.web_parts import SLY, dashboard, plain, seen
 
 
@@ -52,6 +52,16 @@ def test_every_robot_leads_to_its_run_and_report(fleet: FleetGroup, tmp_path: Pa
     for text in ("ur5-3 not begun", "stopped by hand", "hil fleet resume"):
         assert text in told
     assert "fleet.html" not in html
+
+
+def test_folders_that_may_not_be_entered_are_named(
+    fleet: FleetGroup, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = fleet.runs / "2026-11-20" / "ur5-1" / "0001-fourier"
+    close_folders(monkeypatch, fleet.path, first)
+    assert f"{fleet.path}: Permission denied" in plain(seen(dashboard(tmp_path), "/fleets"))
+    page = seen(dashboard(tmp_path), "/runs/2026-11-20/ur5-1/0001-fourier")
+    assert "Its folder cannot be opened: Permission denied" in plain(page)
 
 
 def test_its_page_is_shut_in(fleet: FleetGroup, tmp_path: Path) -> None:

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from hil.core.errors import RecordingError
+from hil.core.errors import DataError, RecordingError
 from hil.runs.retention import Decision, Policy, decide, leftovers, remove
-from tests.support.catalogue_runs import settle, write_run
+from tests.support.catalogue_runs import close_folders, settle, write_run
 
 NOW = datetime.fromisoformat("2026-12-01T00:00:00+00:00").timestamp()
 ALL = Policy(older=timedelta(days=1))
@@ -98,6 +98,21 @@ def test_runs_of_a_fleet_stay_together(runs: Path, tmp_path: Path) -> None:
     assert told["0003"] == ""
     interrupted = Policy(older=timedelta(days=1), interrupted=True)
     assert len(goes(runs, interrupted)) == 5
+
+
+@pytest.mark.parametrize(
+    "closed",
+    ["2026-11-12", "2026-11-12/ur5", "2026-11-20/fleet/fleet-weekly", "2026-11-20/series/series-x"],
+)
+def test_nothing_goes_while_a_folder_that_may_keep_runs_cannot_be_read(
+    closed: str, runs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (runs / closed).mkdir(parents=True, exist_ok=True)
+    close_folders(monkeypatch, runs / closed)
+    with pytest.raises(DataError) as caught:
+        decide(runs, ALL, (), NOW)
+    assert caught.value.message == f"cannot read {runs / closed}: Permission denied"
+    assert "nothing is deleted before" in caught.value.hint
 
 
 @pytest.mark.parametrize(

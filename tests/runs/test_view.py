@@ -12,7 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from typer.testing import CliRunner
 
+from hil.cli.app import app
 from hil.core.lock_file import hold_run
 from hil.recording.run_directory import run_folders
 from hil.runs import catalogue
@@ -195,6 +197,19 @@ def test_folders_that_may_not_be_entered_keep_no_other_run_from_the_lists(
         assert [one["status"] for one in entries] == ["damaged", "tripped", "interrupted"]
         assert "Permission denied" in entries[0]["problem"]
         assert [one["status"] for one in list_runs(runs)] == [one["status"] for one in entries]
+
+
+def test_a_day_that_may_not_be_entered_is_named_and_no_other_run_is_lost(
+    runs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_run(runs, 4, day="2026-11-27")
+    close_folders(monkeypatch, runs / "2026-11-27")
+    shown = CliRunner().invoke(app, ["runs", "--runs", str(runs), "--json"])
+    assert (
+        f"warning: {runs / '2026-11-27'}: Permission denied; runs in it are not listed"
+        in shown.stderr
+    )
+    assert len(json.loads(shown.stdout)) == 3
 
 
 def test_a_document_that_may_not_be_read_says_nothing_and_all_others_do(

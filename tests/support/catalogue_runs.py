@@ -82,7 +82,8 @@ def close_folders(monkeypatch: pytest.MonkeyPatch, *closed: Path) -> None:
 
     def refusing(path: Any, *arguments: Any, **more: Any) -> os.stat_result:
         real = None if isinstance(path, int) else Path(os.path.realpath(path))
-        if real is not None and not set(closed).isdisjoint(real.parents):
+        inside = () if real is None else (*real.parents, *[real][: str(path).endswith("/.")])
+        if not set(closed).isdisjoint(inside):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
         return stat(path, *arguments, **more)
 
