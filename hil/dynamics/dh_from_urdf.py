@@ -29,6 +29,7 @@ class Described:
         qd_max, effort_max: [rad/s], [N·m]; 0 where the URDF says nothing.
         mass, com, inertia: (n,), (n, 3) in the link's DH frame, (n, 3, 3) about the centre.
         axes: (n, 2, 3) each link from its joint's origin to the next one's, in its DH frame [m].
+        rotor_inertia: (n,) of `armature=` [kg·m²], which no description takes; 0 where it is not.
     """
 
     joint_names: tuple[str, ...]
@@ -42,6 +43,7 @@ class Described:
     com: FloatArray
     inertia: FloatArray
     axes: FloatArray
+    rotor_inertia: FloatArray
 
 
 def described(path: Path) -> Described:
@@ -80,7 +82,9 @@ def described(path: Path) -> Described:
             [f[:3, :3].T @ b.inertia @ f[:3, :3] for f, b in zip(frames, bodies, strict=True)]
         ),
         axes=_segments(frames, np.vstack([origins, data.oMf[flange].translation])),
+        rotor_inertia=np.array(model.armature),
     )
+    model.armature = np.zeros(model.nv)  # what is compared below are the links alone
     _require_bodies(path, found)
     _compare(path, model, found)
     return found

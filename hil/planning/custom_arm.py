@@ -80,6 +80,13 @@ def _notes(found: Described, arm: Path, station: Path) -> list[str]:
     for what, lacks in silent(found).values():
         joints = [found.joint_names[j] for j in np.flatnonzero(lacks)]
         notes += [f"the URDF has no {what} for {', '.join(joints)}: guessed"] if joints else []
+    if found.rotor_inertia.any():
+        rotors = zip(found.joint_names, found.rotor_inertia, strict=True)
+        listed = ", ".join(f"{name} {_number(value)}" for name, value in rotors if value)
+        notes.append(
+            f"rotor inertias (armature=, kg·m²) are not taken over, a description has none and "
+            f"fits identify them: {listed}"
+        )
     notes.append(
         f"a URDF knows no accelerations, gears, currents, payload, friction and no lean collision "
         f"bodies: see GUESS in {arm} before anything real moves"

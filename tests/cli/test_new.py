@@ -185,6 +185,17 @@ def test_a_built_in_robot_in_place_of_that_of_a_station_beside_is_told(
     assert "warning" not in invoke(verb, str(spec), "--station", "mine-station.yaml").stderr
 
 
+def test_rotor_inertias_of_a_urdf_are_named_and_left_out() -> None:
+    """`hil export --to urdf` writes them as `armature`."""
+    joint = '<joint name="A4" type="continuous">'
+    assert joint in URDF.read_text()
+    rotor = f'{joint}<dynamics damping="0.1" friction="0.2" armature="1.14"/>'
+    Path("rotors.urdf").write_text(URDF.read_text().replace(joint, rotor))
+    made = json.loads(invoke("new", "own-urdf", "--urdf", "rotors.urdf", "--json").stdout)
+    (note,) = [note for note in made["notes"] if "armature=" in note]
+    assert note.endswith(": A4 1.14")
+
+
 def test_an_arm_that_the_mock_cannot_be_is_not_sent_to_commands_that_refuse_it() -> None:
     fixed = '<joint name="bolted" type="fixed">'
     assert fixed in URDF.read_text()
