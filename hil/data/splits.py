@@ -19,7 +19,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from hil.core import BoolArray, DataError, FloatArray
+from hil.core import BoolArray, DataError, FloatArray, IntArray
 from hil.data.dataset import AT_REST, Conditions, Dataset, rows_of
 from hil.data.fingerprints import fingerprints
 
@@ -163,15 +163,30 @@ def assert_disjoint(train: Dataset, test: Dataset) -> None:
             raise DataError(
                 f"{len(shared)} {by} group(s) are in both training and test data, "
                 f"the first is {by} {number} of {source or 'the data'}",
-                hint="split by whole groups: hil.data.split(dataset, by=…)",
+                hint="hold out whole groups: another run (--validate RUN), validate.hold_out in a "
+                "spec, or hil.data.split(dataset, by=…) in Python",
             )
     rows = fingerprints(test)
-    same = int(np.isin(rows, fingerprints(train)).sum())
-    if same > SAME_SHARE * len(rows):
+    same = rows[np.isin(rows, fingerprints(train))]
+    if len(same) > SAME_SHARE * len(rows):
+        ours, theirs = _sources_with(same, test), _sources_with(same, train)
         raise DataError(
-            f"{same} samples of the test data are also in the training data",
-            hint="the same recording was given twice; leave it out of one of the two",
+            f"{len(same)} samples of the test data are also in the training data"
+            + (f": those of {ours} in {theirs}" if ours and theirs else ""),
+            hint="the same recording was given twice, or a mock of the same seed repeated itself: "
+            "record the second with another excitation.seed",
         )
+
+
+def _sources_with(rows: IntArray, data: Dataset) -> str:
+    """Name the sources of some fingerprints; empty if the data do not say them."""
+    named = []
+    for source in dict.fromkeys(condition.source for condition in data.conditions):
+        here = [k for k, condition in enumerate(data.conditions) if condition.source == source]
+        part = data.take(here)
+        if source and np.isin(rows, fingerprints(part)).any():
+            named.append(source)
+    return " and ".join(named)
 
 
 def paper_sample_split(

@@ -99,8 +99,10 @@ def test_same_recording_under_another_name_is_found() -> None:
     renamed = Dataset(
         **{**vars(data), "conditions": (Conditions("other", "trajectory", "elsewhere", 9),)}
     )
-    with pytest.raises(DataError, match="50 samples of the test data"):
+    with pytest.raises(DataError, match=r"50 samples of the test data.* of elsewhere") as caught:
         assert_disjoint(data, renamed)
+    assert caught.value.message.endswith(f" in {data.conditions[0].source}")
+    assert "another excitation.seed" in caught.value.hint
 
 
 def test_different_recordings_of_equal_numbers_pass() -> None:
