@@ -257,8 +257,8 @@ def passed_over(source: str, spec: Path, robot: str) -> str:
     if not found:
         return ""
     return (
-        f"{robot} of the {BUILT_IN} is taken; a station beside the spec has one, too: "
-        f"--station {' or '.join(map(str, found))}"
+        f"using {robot} of the {BUILT_IN}, not the one in {found[0].name} beside the spec; "
+        f"to use that: --station {' or '.join(map(str, found))}"
     )
 
 

@@ -179,8 +179,8 @@ def test_a_built_in_robot_in_place_of_that_of_a_station_beside_is_told(
         "hil_station: 1\nname: mine\nrobots:\n  ur5: {driver: mock, model: ur5}\n"
     )
     assert invoke(verb, str(spec)).stderr.splitlines()[0] == (
-        "warning: ur5 of the built-in mock bench is taken; a station beside the spec has one, too: "
-        "--station mine-station.yaml"
+        "warning: using ur5 of the built-in mock bench, not the one in mine-station.yaml beside "
+        "the spec; to use that: --station mine-station.yaml"
     )
     assert "warning" not in invoke(verb, str(spec), "--station", "mine-station.yaml").stderr
 
