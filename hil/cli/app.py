@@ -19,6 +19,7 @@ import hil
 from hil.cli.output import fold, width_of
 from hil.cli.streams import Stream, guard_streams
 from hil.core import (
+    DataError,
     HilError,
     PluginError,
     RecordingError,
@@ -123,6 +124,8 @@ def _as_ours(error: OSError) -> HilError:
         return PluginError(message, hint=hint)
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
         return RecordingError(message, hint="make room on the disk, or write to another place")
+    if _may_not_be_read(error):
+        return DataError(f"cannot read {message}", hint="see whether you may read it")
     return RecordingError(message, hint="see whether the path exists and may be written to")
 
 
@@ -133,6 +136,17 @@ def _is_of_an_installation(error: OSError) -> bool:
     loaded = (sys.modules.get(name) for name in ("hil", "hil_mock_robot", "hil_drivers"))
     folders = [Path(file).parent for module in loaded if (file := getattr(module, "__file__", ""))]
     return any(Path(error.filename).is_relative_to(folder) for folder in folders)
+
+
+def _may_not_be_read(error: OSError) -> bool:
+    """Return whether a file is there that this user may not read, or a folder not be entered."""
+    if error.errno not in (errno.EACCES, errno.EPERM) or not isinstance(error.filename, str):
+        return False
+    folder = os.path.dirname(error.filename) or "."
+    mine = {"effective_ids": os.access in os.supports_effective_ids}
+    if os.access(error.filename, os.F_OK, **mine):
+        return not os.access(error.filename, os.R_OK, **mine)
+    return not os.access(folder, os.X_OK, **mine) and os.path.lexists(folder)
 
 
 def _exit_code(ending: SystemExit, out: Stream | None) -> int:

@@ -144,10 +144,17 @@ class RunDirectory:
         """Open an existing run.
 
         Raises:
-            DataError: It is no run directory, is damaged, or was written by a newer hil.
+            DataError: It is no run directory, cannot be read, is damaged, or was written by a newer
+                hil.
         """
         run = cls(Path(path))
-        if not (run.path / "start.json").is_file():
+        try:
+            there = (run.path / "start.json").is_file()
+        except OSError as error:
+            raise DataError(
+                f"cannot read {path}: {error.strerror or error}", hint="see whether you may read it"
+            ) from error
+        if not there:
             raise DataError(
                 f"{path} is not a run directory: it has no start.json",
                 hint="hil runs lists the runs there are",

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import hil as package
+from hil.cli.app import _as_ours
+from hil.core.errors import DataError, RecordingError
 from tests.support.paths import EXPERIMENTS
 
 DWELL = EXPERIMENTS / "ci_dwell_12.yaml"
@@ -113,3 +117,18 @@ def test_a_file_that_an_installation_lacks_is_no_fault_of_a_recording() -> None:
     assert done.stdout.startswith("PluginError 2 "), done.stderr
     assert "ranges.yaml" in done.stdout
     assert "install hil again" in done.stdout
+
+
+def test_a_file_that_may_not_be_read_is_no_place_to_write_to(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    closed = tmp_path / "start.json"
+    closed.touch()
+    refused = partial(PermissionError, 13, "Permission denied")
+    monkeypatch.setattr(
+        os, "access", lambda path, mode, **_: mode != os.R_OK or Path(path) != closed
+    )
+    told = _as_ours(refused(str(closed)))
+    assert (type(told), told.message) == (DataError, f"cannot read {closed}: Permission denied")
+    assert told.hint == "see whether you may read it"
+    assert isinstance(_as_ours(refused(str(tmp_path / "other"))), RecordingError)

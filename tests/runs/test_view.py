@@ -15,11 +15,12 @@ import pytest
 from typer.testing import CliRunner
 
 from hil.cli.app import app
+from hil.core.errors import DataError
 from hil.core.lock_file import hold_run
 from hil.recording.run_directory import run_folders
 from hil.runs import catalogue
 from hil.runs.catalogue import FILE, find_runs
-from hil.runs.listing import facts_of, list_runs
+from hil.runs.listing import describe_run, facts_of, list_runs
 from tests.support.catalogue_runs import close_folders, settle, write_run
 
 
@@ -197,6 +198,17 @@ def test_folders_that_may_not_be_entered_keep_no_other_run_from_the_lists(
         assert [one["status"] for one in entries] == ["damaged", "tripped", "interrupted"]
         assert "Permission denied" in entries[0]["problem"]
         assert [one["status"] for one in list_runs(runs)] == [one["status"] for one in entries]
+
+
+def test_a_run_that_may_not_be_read_is_an_error_of_the_data(
+    runs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = runs / "2026-11-20" / "ur5" / "0001-fourier"
+    close_folders(monkeypatch, run)
+    with pytest.raises(DataError) as caught:
+        describe_run(run)
+    assert caught.value.message == f"cannot read {run}: Permission denied"
+    assert caught.value.hint == "see whether you may read it"
 
 
 def test_a_day_that_may_not_be_entered_is_named_and_no_other_run_is_lost(
