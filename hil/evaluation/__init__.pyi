@@ -7,6 +7,7 @@ from .evaluation import filtered_effort as filtered_effort
 from .fitting import DIGEST_LENGTH as DIGEST_LENGTH
 from .fitting import FitReport as FitReport
 from .fitting import Fitted as Fitted
+from .fitting import broken_down as broken_down
 from .fitting import fit_dataset as fit_dataset
 from .fitting import fit_model as fit_model
 from .fitting import judge_fit as judge_fit

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import time
+import traceback
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,12 +21,13 @@ from hil.core import (
     RecordingError,
     card,
     number,
+    plugins,
     require_installed,
     write_whole,
 )
 from hil.data import Dataset
 from hil.dynamics import RobotModel
-from hil.estimators import RobotEstimator, Training, model_files
+from hil.estimators import GROUP, RobotEstimator, Training, model_files
 from hil.estimators import estimator as make_estimator
 from hil.evaluation.evaluation import evaluate
 from hil.evaluation.validation import (
@@ -216,6 +218,28 @@ def fit_model(
     training = replace(Training.of(train), serial=serial)
     model.training_ = training
     return Fitted(model, _store(model, out), seconds, training.effort_std)
+
+
+def broken_down(estimator: str, error: Exception, subject: str) -> FitError:
+    """Return the error of an estimator, usually a plug-in, that raised what none should raise.
+
+    Args:
+        estimator: Its name.
+        error: What it raised; the place in the estimator's own package is named.
+        subject: Begins the message: its name, or `it` where the name stands before.
+    """
+    package = plugins.find(GROUP, estimator).module.partition(".")[0]
+    place = ""
+    for frame, line in traceback.walk_tb(error.__traceback__):
+        if str(frame.f_globals.get("__name__")).partition(".")[0] == package:
+            code = frame.f_code
+            place = f" (…/{Path(code.co_filename).name}:{line} in {code.co_name})"
+    failed = FitError(
+        f"{subject} broke down: {type(error).__name__}: {error}{place}",
+        hint="this is a fault of the estimator: report it to whoever wrote it",
+    )
+    failed.__cause__ = error
+    return failed
 
 
 def _store(model: RobotEstimator, out: Path) -> Path:

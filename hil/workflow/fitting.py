@@ -15,6 +15,7 @@ from hil.core import (
     AnyPath,
     DataError,
     FitError,
+    HilError,
     RecordingError,
     SpecError,
     path_of,
@@ -27,7 +28,15 @@ from hil.data import Dataset, assert_disjoint
 from hil.dynamics import load_model
 from hil.estimators import estimator as make_estimator
 from hil.estimators import load_model_file, read_gains
-from hil.evaluation import FitReport, fit_model, judge_fit, judge_source, one_serial, usable_part
+from hil.evaluation import (
+    FitReport,
+    broken_down,
+    fit_model,
+    judge_fit,
+    judge_source,
+    one_serial,
+    usable_part,
+)
 from hil.importers import load_source, require_arm_as_recorded, with_payload
 from hil.networks import HearsBeginning, Watch, attach, keeps_checkpoints
 from hil.report import render_fit_report
@@ -103,7 +112,12 @@ def fit(
         part = usable_part(train, model)
         size = f"{len(part)} samples in {len(part.conditions)} series"
         watch.began(f"training {estimator} on {size}")
-    report = judge_fit(fit_model(model, train, arm, folder, serial), train, held_out)
+    try:
+        report = judge_fit(fit_model(model, train, arm, folder, serial), train, held_out)
+    except (HilError, OSError):
+        raise
+    except Exception as error:  # estimators are plug-ins, which may raise anything
+        raise broken_down(estimator, error, estimator) from error
     if page is not None:
         shown = {str(source): usable_part(data, model) for source, data in held_out}
         render_fit_report(report.fitted.folder, shown, path_of(page))

@@ -36,6 +36,7 @@ from hil.evaluation import (
     FailedFit,
     Fitted,
     Judged,
+    broken_down,
     fit_dataset,
     hold_out,
     judged_model,
@@ -220,7 +221,7 @@ def judge_run(
             problems.append(FailedFit(fit.estimator, error))
         # Estimators are plug-ins: whatever one of them raises must not cost the others.
         except Exception as error:
-            problems.append(FailedFit(fit.estimator, _as_fit_error(fit.estimator, error)))
+            problems.append(FailedFit(fit.estimator, broken_down(fit.estimator, error, "it")))
     under: list[Row] = []
     if spec.validation.under_loads and data is not None and judged:
         under, missing = judge_under_loads(directory.path, spec, data, tell)
@@ -253,15 +254,6 @@ def _judge_one(
         document = judged.document | {"seconds": fitted.seconds}
         directory.write_json(f"fit/{fitted.folder.name}/{EVALUATION_FILE}", document)
     return judged
-
-
-def _as_fit_error(name: str, error: Exception) -> FitError:
-    fit_error = FitError(
-        f"{name} broke down: {type(error).__name__}: {error}",
-        hint="this is a fault of the estimator: report it to whoever wrote it",
-    )
-    fit_error.__cause__ = error
-    return fit_error
 
 
 def _verdict_document(

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import re
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+import hil
 from hil.core import plugins
 from hil.core.errors import DataError, FitError
 from hil.estimators.static_model import StaticWls
@@ -110,12 +112,20 @@ def test_a_recording_is_judged_without_any_fit(tmp_path: Path, judge: Any) -> No
     assert words(run) == ("rejected", "rejected", "not judged")
 
 
+def test_a_failing_estimator_is_named_with_its_place_by_a_fit_alone(tmp_path: Path) -> None:
+    run = run_with(tmp_path)
+    words = r"^faulty broke down: ZeroDivisionError: division by zero"
+    with pytest.raises(FitError, match=words + r" \(…/test_verdict\.py:\d+ in fit\)"):
+        hil.fit(run.path, estimator="faulty", out=tmp_path / "models")
+
+
 def test_a_failing_fit_loses_no_other_model_and_says_why(tmp_path: Path) -> None:
     run = run_with(tmp_path, "unlucky static-wls faulty")
     with pytest.raises(FitError) as caught:
         judged(run)
     assert "unlucky: the stars are against it" in caught.value.message
-    assert "faulty broke down: ZeroDivisionError: division by zero" in caught.value.message
+    assert "faulty: it broke down: ZeroDivisionError: division by zero" in caught.value.message
+    assert re.search(r"\(…/test_verdict\.py:\d+ in fit\)", caught.value.message)
     document = verdict_of(run)
     assert document["problems"][0]["hint"] == "wait for another night"
     assert [problem["estimator"] for problem in document["problems"]] == ["unlucky", "faulty"]
