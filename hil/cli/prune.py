@@ -83,10 +83,13 @@ def prune(
     if json:
         print_json(document)
     else:
-        _print(document, decisions, len(left))
+        refuses = not registries and not no_registry
+        _print(document, decisions, len(left), refuses=refuses)
 
 
-def _print(document: dict[str, Any], decisions: "list[Decision]", left: int) -> None:
+def _print(
+    document: dict[str, Any], decisions: "list[Decision]", left: int, *, refuses: bool
+) -> None:
     going = [one for one in decisions if one.goes]
     if going:
         print_table(("goes", "size"), [(str(one.run), size(one.size)) for one in going])
@@ -96,13 +99,18 @@ def _print(document: dict[str, Any], decisions: "list[Decision]", left: int) -> 
     others = Counter(one.why for one in decisions if one.why and not one.guarded)
     for why, count in others.items():
         say(f"{count} more {'stays' if count == 1 else 'stay, each'} because {why}")
-    if not document["registries"]:
-        say("no registry is known: no run is kept for the sake of a model, --yes asks which")
+    if not document["registries"] and not refuses:
+        say("no registry is known: no run is kept for the sake of a model")
     what = "the recordings of " if document["policy"]["recordings_only"] else ""
     total = f"{what}{len(going)} run{'s'[: len(going) != 1]}, {size(document['bytes'])}"
     if document["deleted"]:
         say(f"deleted: {total}")
         return
-    say(f"would be deleted: {total}; nothing was, --yes does it")
+    say(f"would be deleted: {total}; nothing was" + ("" if refuses else ", --yes does it"))
+    if refuses:
+        say(
+            "no registry is known, so --yes will refuse: name one with --registry DIR, or add "
+            "--no-registry"
+        )
     if left:
         say(f"{left} that an earlier deletion has left half done would go, too")

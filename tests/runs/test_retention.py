@@ -304,7 +304,9 @@ def test_nothing_is_deleted_unasked(runs: Path) -> None:
     arguments = ["prune", "--older-than", "1d", "--runs", str(runs)]
     told = CliRunner().invoke(app, arguments).stdout
     assert "would be deleted: 5 runs" in told
-    assert "no registry is known" in told
+    assert "no registry is known, so --yes will refuse: name one with --registry DIR" in told
+    assert "--yes does it" not in told
+    assert "--yes does it" in CliRunner().invoke(app, [*arguments, "--no-registry"]).stdout
     assert len(find_runs(runs=runs)) == 6
     refused = CliRunner().invoke(app, [*arguments, "--yes"])
     assert isinstance(refused.exception, RegistryError)
