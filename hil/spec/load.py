@@ -474,7 +474,20 @@ def _parameters(estimator: Any) -> list[str] | None:
         return None
     if any(p.kind is p.VAR_KEYWORD for p in parameters):
         return None
-    return [p.name for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)]
+    return [p.name for p in parameters if p.kind in _NAMED]
+
+
+_NAMED = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
+
+
+def _required(plugin: Any) -> list[str]:
+    """Names of a constructor's parameters that have no default; none where it cannot be read."""
+    try:
+        parameters = inspect.signature(plugin).parameters.values()
+    except (TypeError, ValueError):
+        return []
+    named = (inspect.Parameter.POSITIONAL_ONLY, *_NAMED)
+    return [p.name for p in parameters if p.kind in named and p.default is p.empty]
 
 
 def _no_parameter(name: str, key: str, known: list[str]) -> str:
@@ -531,17 +544,20 @@ def check_interlocks(source: Source) -> None:
 
 def _check_plugged(source: Source, path: KeyPath, kind: str, entry: dict[str, Any]) -> None:
     try:
-        known = _parameters(plugins.load("hil.interlocks", kind))
+        plugin = plugins.load("hil.interlocks", kind)
     except PluginError as error:
         source.add((*path, "kind"), f"{error.message} → {error.hint}")
         return
-    if known is None:
-        return
-    # The first is its context; the spec itself knows the others.
-    own = [name for name in known[1:] if name != "action"]
-    for key in entry:
-        if key not in ("kind", "action", "enabled", *own):
+    # The first parameter is its context; the spec itself knows the others.
+    known, unknown = _parameters(plugin), []
+    if known is not None:
+        own = [name for name in known[1:] if name != "action"]
+        unknown = [key for key in entry if key not in ("kind", "action", "enabled", *own)]
+        for key in unknown:
             source.add((*path, key), _no_parameter(kind, key, own), key=True)
+    lacking = [name for name in _required(plugin)[1:] if name not in (*entry, "action")]
+    if lacking and not unknown:  # else it is there under a name that was mistyped
+        source.add((*path, "kind"), f"{kind} needs {', '.join(lacking)}")
 
 
 def check_robots(source: Source, folder: FilePath) -> None:

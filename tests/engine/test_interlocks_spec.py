@@ -249,7 +249,8 @@ def test_a_plug_in_has_a_line_in_the_list_of_plug_ins(plugged: None) -> None:
             "interlocks.0.limit_percnt: humidity has no parameter 'limit_percnt'; did you mean "
             "'limit_percent'? (it has limit_percent, sensor)",
         ),
-        ("{kind: humidity, action: warn}", "interlocks.0.action: "),
+        ("{kind: humidity}", "interlocks.0.kind: humidity needs limit_percent"),
+        ("{kind: humidity, limit_percent: 70, action: warn}", "interlocks.0.action: "),
         ("{kind: broken}", "interlocks.0.kind: the interlock 'broken' (lab_interlocks:None_) does"),
     ],
 )  # fmt: skip
