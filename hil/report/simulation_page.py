@@ -454,8 +454,12 @@ def _worn(told: Document) -> list[tuple[int, float]]:
 def _sentences(told: Document, after: FloatArray) -> list[str]:
     occasions = told["occasions"]
     probes = sum(bool(each["result"] and each["result"]["drift"]) for each in occasions)
+    end = told.get("weeks", np.inf)
+    last = max((each["week"] for each in occasions), default=0)
     changes = [
         f"after {7 * weeks:g} days friction is {worn(one['factors'])}"
+        if weeks < end or weeks <= last
+        else f"wear of day {7 * weeks:g} is beyond these {end:g} weeks: not shown"
         for weeks, one in zip(told["wear_weeks"], told["simulate"]["wear"], strict=True)
     ]
     said = [f"{probes} probes; {'; '.join(changes) or 'no wear'}."]

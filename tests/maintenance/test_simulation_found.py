@@ -59,6 +59,11 @@ def test_when_all_is_as_it_should_be_it_is_said() -> None:
     )
 
 
+def test_wear_after_the_end_is_not_called_a_change() -> None:
+    what = found({**told(GOOD[:3]), "weeks": 2.0})
+    assert what.sentences[0] == "2 probes; wear of day 17.5 is beyond these 2 weeks: not shown."
+
+
 def test_a_change_that_is_seen_later_was_not_seen_by_the_first_probe_after_it() -> None:
     late = occasion(4, "promoted", changed=True, champion="v2")
     asked = missed(occasion(3), late)
