@@ -19,6 +19,7 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from hil.core import RobotConnectionError
+from hil.robot import is_loopback
 
 NAME_SERVER_S = 5.0
 """How long a name server may take [s]."""
@@ -131,3 +132,13 @@ def peer_of(host: str, port: int, within_s: float) -> str:
 def reason(error: OSError) -> str:
     """Return why a connection failed, never empty."""
     return error.strerror or str(error) or type(error).__name__
+
+
+def mock_first(host: str, mock: str) -> str:
+    """Return the beginning of a hint where nothing answers: on loopback a mock is missing.
+
+    Args:
+        host: Address or name, as the station has it.
+        mock: Name of the mock robot, such as `ur`.
+    """
+    return f"start it first: hil mock {mock}; if a port is forwarded, " if is_loopback(host) else ""

@@ -105,7 +105,12 @@ def _write_driver(folder: Path, name: str) -> tuple[list[Path], list[str]]:
     for path, text in files.items():
         write_replacing(path, text.encode())
     at = shlex.quote(str(new))
-    return list(files), [f"pip install -e {at}", f"pytest {at}", "hil plugins"]
+    return list(files), [
+        'pip install "hil[testing]"',
+        f"pip install -e {at}",
+        f"python -m pytest {at}",
+        "hil plugins",
+    ]
 
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")

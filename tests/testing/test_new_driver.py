@@ -18,7 +18,10 @@ from tests.support.paths import ROOT
 @pytest.fixture
 def driver(tmp_path: Path) -> Path:
     done = CliRunner().invoke(app, ["new", "driver", "lab-arm", "--out", str(tmp_path), "--json"])
-    names = [Path(file).name for file in json.loads(done.stdout)["files"]]
+    made = json.loads(done.stdout)
+    names = [Path(file).name for file in made["files"]]
+    assert made["next"][0] == 'pip install "hil[testing]"'
+    assert made["next"][2] == f"python -m pytest {tmp_path / 'lab-arm'}"
     assert names == ["pyproject.toml", "lab_arm.py", "test_lab_arm.py"]
     return tmp_path / "lab-arm"
 

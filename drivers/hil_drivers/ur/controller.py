@@ -25,7 +25,7 @@ from hil.arms import Payload
 from hil.core import HilError, RobotConnectionError, RobotFault, RobotTimeout
 from hil.robot import Finding, Identity, Limits
 from hil_drivers.arm import ReportedLimits, payload_finding
-from hil_drivers.network import ip_address_of, once_listening, peer_of, reason
+from hil_drivers.network import ip_address_of, mock_first, once_listening, peer_of, reason
 from hil_drivers.ur.dashboard import DASHBOARD_PORT, Dashboard
 from hil_drivers.ur.options import SERIES_HZ, Options, limits_of
 from hil_drivers.ur.primary import PRIMARY_PORT, reported_limits
@@ -387,7 +387,8 @@ def reached(address: str, within_s: float = REACH_S) -> Iterator[Finding]:
     silent = {port: why for port in PORTS if (why := _why_silent(address, port, within_s))}
     if silent:
         reasons = ", ".join(f"{port} ({PORTS[port]}): {why}" for port, why in silent.items())
-        hint = "is the controller on, the address right, and are its services enabled?"
+        hint = mock_first(address, "ur")
+        hint += "is the controller on, the address right, and are its services enabled?"
         yield Finding("ports", False, f"{address} does not answer on {reasons}", hint=hint)
     else:
         open_ = ", ".join(f"{port} ({name})" for port, name in PORTS.items())

@@ -13,6 +13,7 @@ import time
 from types import TracebackType
 
 from hil.core import RobotConnectionError, RobotFault
+from hil_drivers.network import mock_first
 
 DASHBOARD_PORT = 29999
 ANSWER_S = 2.0
@@ -32,8 +33,8 @@ class Dashboard:
     """
 
     def __init__(self, address: str, within_s: float = ANSWER_S) -> None:
-        self._peer, self._within_s = f"{address}:{DASHBOARD_PORT}", within_s
-        self._waiting = b""
+        self._address, self._peer = address, f"{address}:{DASHBOARD_PORT}"
+        self._within_s, self._waiting = within_s, b""
         try:
             self._line = socket.create_connection((address, DASHBOARD_PORT), within_s)
         except OSError as error:
@@ -85,7 +86,8 @@ class Dashboard:
     def _problem(self, what: str) -> RobotConnectionError:
         return RobotConnectionError(
             f"the dashboard server at {self._peer} {what}",
-            hint="is the controller on, the address right, and the dashboard server not disabled "
+            hint=mock_first(self._address, "ur")
+            + "is the controller on, the address right, and the dashboard server not disabled "
             "in its security settings?",
         )
 

@@ -38,6 +38,7 @@ from typing import Any, Literal
 import numpy as np
 
 from hil.core import RobotConnectionError, RobotTimeout, StructArray
+from hil_drivers.network import mock_first
 
 RTDE_PORT = 30004
 STEP_S = 2.0
@@ -218,7 +219,8 @@ class Receiver:
         except OSError as error:
             raise RobotConnectionError(
                 f"no RTDE server answers at {self._peer}: {error.strerror or error}",
-                hint="is the robot on, the cable in, the address right, RTDE not disabled in the "
+                hint=mock_first(self._address[0], "ur")
+                + "is the robot on, the cable in, the address right, RTDE not disabled in the "
                 "controller's security settings?",
             ) from error
         line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

@@ -17,6 +17,7 @@ from hil_drivers.arm import require_liftable
 from hil_drivers.network import ip_address_of
 from hil_drivers.ur.controller import KEPT_S, require_ready
 from hil_drivers.ur.controller import DashboardFacts as Facts
+from hil_drivers.ur.dashboard import Dashboard
 from hil_drivers.ur.motion import PROGRESS
 from hil_drivers.ur.options import capabilities_of, limits_of, options_of, require_playable
 from hil_drivers.ur.primary import limits_in
@@ -614,3 +615,17 @@ def test_a_name_that_nobody_knows_is_told_with_what_to_do(monkeypatch):
         ip_address_of("ur5.lab.example")
     assert "no address: Name or service not known" in caught.value.message
     assert "IP address" in caught.value.hint
+
+
+@pytest.mark.parametrize(
+    ("address", "begins"),
+    [("127.0.0.9", "start it first: hil mock ur; if "), ("192.0.2.7", "is the controller on")],
+)
+def test_where_nothing_answers_on_loopback_a_mock_is_to_be_started(address, begins, monkeypatch):
+    def refused(*args):
+        raise ConnectionRefusedError(111, "Connection refused")
+
+    monkeypatch.setattr("socket.create_connection", refused)
+    with pytest.raises(RobotConnectionError) as caught:
+        Dashboard(address)
+    assert caught.value.hint.startswith(begins)
