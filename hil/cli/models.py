@@ -129,7 +129,17 @@ def compare(
     from hil.runs import find_source
 
     home = Registry(registry)
-    old, new = home.version(name, against), home.version(name, version)
+    try:
+        old = home.version(name, against)
+    except RegistryError as error:
+        if against != "champion" or home.aliases(name).champion:
+            raise
+        hint = (
+            "compare with another version: --with v2; or make one the champion: "
+            f"hil models promote {name} v1"
+        )
+        raise RegistryError(error.message, hint=hint) from None
+    new = home.version(name, version)
     models = home.load(name, old.label), home.load(name, new.label)
     comparison = compare_sources(*models, [find_source(one, runs) for one in sources]).to_dict()
     if json:

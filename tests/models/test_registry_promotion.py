@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 import hil
 from hil.cli.app import app
-from hil.core.errors import DataError, Rejected, SpecError
+from hil.core.errors import DataError, RegistryError, Rejected, SpecError
 from hil.models.model_registry import Registry, facts_of
 from tests.estimators.test_sources import recording
 from tests.support.synthetic_motion import nominal
@@ -105,6 +105,14 @@ def test_two_versions_side_by_side(registry, sources) -> None:
     )
     assert np.all(np.array(told["challenger_rmse"]) <= told["champion_rmse"])
     assert told["samples"] == 4 * 1000
+
+
+def test_a_comparison_without_a_champion_names_what_else_can_be_done(registry, sources) -> None:
+    done = called(registry, "compare", "ur5", "v2", sources[FRESH[0]])
+    assert isinstance(done.exception, RegistryError)
+    assert done.exception.message == "ur5 has no champion"
+    assert "--with v2" in done.exception.hint
+    assert "hil models promote ur5 v1" in done.exception.hint
 
 
 def test_what_is_there_is_listed(registry, models) -> None:
