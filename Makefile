@@ -46,7 +46,7 @@ demo: $(VENV)/.demo ## record, fit, validate and report two programs on the mock
 	@echo 'look at them, and start runs of your own, in a browser: $(BIN)/hil serve'
 
 test: $(VENV)/.dev ## tests of every package, a journey over each protocol: six minutes on two cores
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m "$(OFTEN)"
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "$(OFTEN)"
 
 # Only files that have a marker are collected. Drives at `pace: free` and their driver take both
 # cores, so nothing that minds the clock runs beside the tests of CAN.
@@ -58,7 +58,8 @@ test-all: test ## and all others: every wire test, each fault at one kind of ste
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "wire and not (proof or journey)" \
 	  $$(printf '%s\n' $(call marked,wire,tests) | grep -vE '^(tests/can|tests/mock/cia402|tests/drivers/(cia402|twincat))/')
 	$(BIN)/python -m pytest -m "wire and not (proof or journey)" $(call marked,wire,$(CAN_TESTS))
-	$(BIN)/python -m pytest -n 2 -m "matrix and not (proof or journey)" tests/faults
+	$(BIN)/python -m pytest -n 2 -m "matrix and not (proof or journey)" tests/faults/test_embedded.py tests/faults/test_ur.py
+	$(BIN)/python -m pytest -n 2 -m "matrix and not (proof or journey)" tests/faults/test_can.py
 
 fault-matrix: $(VENV)/.dev ## the same, and the tables in docs/reference/fault-matrix*.md
 	$(BIN)/python -m tests.faults.table

@@ -226,8 +226,9 @@ def _symmetric(values: list[float]) -> FloatArray:
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], dtype=np.float64)
 
 
-_ROUNDING = 1e-6
-"""How far rounded principal moments may be from possible ones, of the largest."""
+_ROUNDING = 0.05
+"""How far principal moments may be from possible ones, as a share of the largest: makers and CAD
+programs round inertias of small links to few digits."""
 
 
 def _require_possible(link: str, mass: float, inertia: FloatArray) -> None:

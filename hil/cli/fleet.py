@@ -183,7 +183,7 @@ def fit(
     """Fit every robot by itself, on processes of this computer or a Dask cluster."""
     from hil import api
     from hil.cli.progress import MovingLine
-    from hil.core import FitError, RegistryError, checked_address, cores
+    from hil.core import FitError, HilError, RegistryError, checked_address, cores
     from hil.models import FitSettings, Registry, fit_runs, register_fit, store_fits
 
     sources, home = _runs_of(what, runs)
@@ -204,7 +204,7 @@ def fit(
         for i, one in enumerate(fits):
             try:
                 fits[i] = register_fit(one, Registry(registry))
-            except RegistryError as refused:  # one damaged name must not cost the other robots
+            except HilError as refused:  # one damaged name or file must not cost the other robots
                 fits[i] = replace(one, refused=refused.message)
                 unwritten.append(one.robot)
     if json:

@@ -139,7 +139,9 @@ def json_value(value: Any) -> Any:
         return float(value) if math.isfinite(value) else None
     if isinstance(value, Mapping):
         return {str(key): json_value(item) for key, item in value.items()}
-    if hasattr(value, "tolist"):  # numpy's arrays and numbers, without loading numpy
+    if hasattr(value, "tolist") and not isinstance(
+        value, type
+    ):  # numpy's arrays and numbers, without loading numpy
         return json_value(value.tolist())
     if isinstance(value, (list, tuple)):
         return [json_value(item) for item in value]

@@ -174,9 +174,10 @@ def spread_over_processes(
 ) -> list[Any]:
     """Return the results of tasks, in their order, computed by processes of this computer.
 
-    A process that dies ends the others of its pool, whatever they compute; a new pool computes
-    what is missing. The last attempt gives each task a process of its own, one after the other: it
-    has all the memory, and no other task can end it.
+    A process that dies ends the others of its pool, whatever they compute. What is missing then is
+    computed by a new pool for every few tasks, so that one that kills its process costs few others
+    theirs. The last attempt gives each task a process of its own, one after the other: it has all
+    the memory, and no other task can end it.
 
     Args:
         tasks: Independent of each other, and picklable.
@@ -206,9 +207,9 @@ def spread_over_processes(
 
     for attempt in range(1, TRIES + 1):
         missing = [i for i in range(len(tasks)) if i not in results]
-        for numbers in [[i] for i in missing] if attempt == TRIES else [missing]:
-            if numbers:
-                compute(numbers)
+        size = {1: max(len(tasks), 1), TRIES: 1}.get(attempt, workers)
+        for first in range(0, len(missing), size):
+            compute(missing[first : first + size])
     return [results[i] if i in results else lost(i) for i in range(len(tasks))]
 
 
@@ -356,9 +357,23 @@ class DaskCluster(Executor):
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """As of any executor; the arguments do not pass through the scheduler."""
-        sent = self._client.scatter(list(args), hash=False) if args else []
+        sent = self._scattered(list(args)) if args else []
         future: Future[Any] = self._executor.submit(fn, *sent, **kwargs)
         return future
+
+    def _scattered(self, args: list[Any]) -> Any:
+        """Send arguments to a worker, to another one if that dies meanwhile."""
+        for attempt in range(1, TRIES + 1):
+            try:
+                return self._client.scatter(args, hash=False)
+            except OSError as error:
+                if attempt == TRIES:
+                    raise FitError(
+                        f"the workers of {self.address} have died {TRIES} times: {error}",
+                        hint="see their logs, start workers and repeat the command",
+                    ) from error
+                self._client.wait_for_workers(1, timeout=CONNECT_S)
+        raise AssertionError
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """End the connection; the cluster goes on. What is not computed yet is given up."""

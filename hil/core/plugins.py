@@ -17,7 +17,7 @@ from importlib.util import find_spec
 from typing import Any
 
 from hil.core.errors import PluginError
-from hil.core.suggest import did_you_mean
+from hil.core.suggest import closest, did_you_mean
 
 GROUPS = {
     "hil.drivers": "robot driver",
@@ -169,7 +169,7 @@ def find(group: str, name: str) -> EntryPoint:
     if not points:
         known = names(group)
         hint = did_you_mean(name, known) if known else "is hil installed, or just on the path?"
-        if hint.startswith("there is"):
+        if closest(name, known) is None:
             hint += "; one of your own is there once its package is installed again"
         raise PluginError(f"there is no {_kind(group)} called {name!r}", hint=hint)
     if len({point.value for point in points}) > 1:

@@ -1,4 +1,4 @@
-"""A C compiler: programs are compile_program and run before anybody relies on them.
+"""A C compiler: programs are compiled and run before anybody relies on them.
 
 Also how much stack a program takes at most, which a task on a controller has to be given.
 """
@@ -81,7 +81,7 @@ def _compiled(
 
 def _run(command: Sequence[str], folder: Path) -> subprocess.CompletedProcess[str]:
     try:
-        return subprocess.run(  # noqa: S603  # a compiler, and what it just compile_program
+        return subprocess.run(  # noqa: S603  # a compiler, and what it has just made
             command, cwd=folder, capture_output=True, text=True, timeout=LONGEST_S, check=False
         )
     except (OSError, subprocess.TimeoutExpired) as error:

@@ -9,6 +9,7 @@ registers one.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
@@ -322,7 +323,8 @@ def store_fits(runs: Sequence[Path], results: Sequence[FitResult], out: Path) ->
         for name, content in result.files.items():
             if not (folder / name).exists() or (folder / name).read_bytes() != content:
                 write_whole(folder / name, content)
-        os.utime(folder / "model.json")
+        with contextlib.suppress(OSError):  # a model of somebody else: it is as good as it was
+            os.utime(folder / "model.json")
         fits.append(RobotFit(robot, run, result, folder, verdict=verdict))
     return fits
 

@@ -45,7 +45,12 @@ def own_arm_drafts(
     found, odd = without_odd_speeds(found)
     station, arm = (spec.with_name(f"{spec.stem}-{part}.yaml") for part in ("station", "arm"))
     text = arm_text(urdf.name, found)
-    start = _start(urdf, arm_from_dict(robot, look_into(text)))
+    try:
+        start = _start(urdf, arm_from_dict(robot, look_into(text)))
+    except ValueError as error:
+        raise SpecError(
+            f"{urdf}: describes no arm: {error}", hint="see <inertial> of that link"
+        ) from None
     words = {
         "robot": robot, "name": name, "arm": arm.name, "urdf": urdf.name,
         "start": ", ".join(f"{angle:.0f}" for angle in np.degrees(start)),

@@ -56,7 +56,7 @@ def console_channel(
     remote: bool = False,
     confirm: Confirm | None = None,
 ) -> OperatorChannel:
-    """Return the desk of a run that is started at the console of this process.
+    """Return the operator channel of a run that is started at the console of this process.
 
     Args:
         operator: Name of the operator; recorded with the answers.

@@ -120,6 +120,14 @@ def test_links_that_cannot_exist_are_refused(old: str, new: str, problem: str, a
     assert "shoulder" in caught.value.message
 
 
+def test_inertias_that_were_rounded_are_possible(arm: Path) -> None:
+    """A flat disc in six digits after the point, as CAD programs write it."""
+    text = arm.read_text("utf-8")
+    disc = "[1.2e-5, 1.2e-5, 2.5e-5, 0, 0, 0]"
+    arm.write_text(text.replace("[8.06248e-5, 8.06248e-5, 0.000132117, 0, 0, 0]", disc), "utf-8")
+    assert load_arm(str(arm)).inertia[-1][2, 2] == 2.5e-5
+
+
 def test_a_file_that_is_no_xml_counts_as_it_stands(tmp_path: Path) -> None:
     path = tmp_path / "torn.urdf"
     path.write_text("<robot", "utf-8")

@@ -290,6 +290,14 @@ def test_any_urdf_can_be_named(urdf: str) -> None:
     assert load_arm(model).sources["all"] == f"{urdf}, but for lines marked GUESS"
 
 
+def test_a_urdf_with_an_impossible_inertia_is_refused_with_its_link() -> None:
+    text = URDF.read_text("utf-8").replace('izz="0.03"/>', 'izz="0.09"/>', 1)
+    Path("odd.urdf").write_text(text, "utf-8")
+    error = refused("own-urdf", "--urdf", "odd.urdf")
+    assert error.message.startswith("odd.urdf: describes no arm: forearm")
+    assert "sum of the others" in error.message
+
+
 def test_nothing_is_written_that_is_not_valid(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("hil.spec.draft.as_scalar", lambda text: text)
     assert "must be text" in refused("dwell", "--name", "007").message

@@ -21,13 +21,23 @@ from hil.studies.tasks import Task, run_tasks
 
 
 @pytest.fixture(scope="module")
-def local() -> Iterator[Any]:
+def made() -> Iterator[Any]:
     """A cluster of one process with one thread."""
     distributed = pytest.importorskip("distributed", reason="distributed is not installed")
     with distributed.LocalCluster(
         n_workers=1, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
-    ) as made:
-        yield made
+    ) as cluster_of_one:
+        yield cluster_of_one
+
+
+@pytest.fixture
+def local(made: Any) -> Any:
+    """The same with its worker: one that a test has killed is started again."""
+    from distributed import Client
+
+    with Client(made.scheduler_address, set_as_default=False) as client:
+        client.wait_for_workers(1, timeout=60)
+    return made
 
 
 def numbers(count: int) -> list[Task]:

@@ -17,8 +17,7 @@ MARK = "mark." + "proof"
 @pytest.fixture
 def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A small checkout with two units: one that passes, one that does as `outcome.txt` says."""
-    (tmp_path / "pyproject.toml").write_bytes((ROOT / "pyproject.toml").read_bytes())
-    for name in ("hil/core/a.py", "hil/studies/b.py", "hil/cli/c.py", "docs/other.md"):
+    for name in ("hil/core/a.py", "tests/support/b.py", "docs/other.md"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text("1")
     page = tmp_path / "docs" / "proofs.md"
@@ -26,8 +25,8 @@ def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "outcome.txt").write_text("0")
     ends = "import sys; print('ratio 3.5'); sys.exit(int(open('outcome.txt').read()))"
     units = (
-        Unit("good", "one is one", ("-c", "print('12 passed in 3.00s')"), 1.0, "studies"),
-        Unit("odd", "it ends well", ("-c", ends), 0.5, "core", ("outcome.txt",)),
+        Unit("good", "one is one", ("-c", "print('12 passed in 3.00s')"), 1.0),
+        Unit("odd", "it ends well", ("-c", ends), 0.5, ("outcome.txt",)),
     )
     for name, value in {
         "ROOT": tmp_path, "STATE": tmp_path / "state.json", "PAGE": page, "UNITS": units,
@@ -47,12 +46,24 @@ def test_what_has_passed_is_stale_only_when_an_input_changes(checkout: Path) -> 
     assert stale() == []
     for name, now in (
         ("docs/other.md", []),
-        ("hil/cli/c.py", []),
-        ("hil/studies/b.py", ["good"]),
+        ("outcome.txt", ["odd"]),
         ("hil/core/a.py", ["good", "odd"]),
     ):
+        before = (checkout / name).read_text()
         (checkout / name).write_text("2")
         assert stale() == now, name
+        (checkout / name).write_text(before)
+        assert stale() == []
+
+
+def test_a_proof_whose_tests_were_all_skipped_has_shown_nothing(
+    checkout: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (checkout / "test_it.py").write_text("import pytest\npytest.skip('no torch', True)\n")
+    unit = Unit("skips", "it works", ("-m", "pytest", "test_it.py"), 1.0)
+    monkeypatch.setattr(runner, "UNITS", (unit,))
+    assert runner.main([]) == 1
+    assert stale() == ["skips"]
 
 
 def test_a_failure_is_remembered_and_runs_again(
@@ -102,6 +113,18 @@ def test_every_test_that_is_marked_as_a_proof_belongs_to_a_unit() -> None:
         name for name in marked if not any(re.match(rf"{file}(/|$)", name) for file in files)
     ]
     assert missing == []
+
+
+IMPORTED = re.compile(r"(?m)^\s*(?:from|import) ((?:tests|benchmarks)[\w.]*)")
+
+
+def test_what_a_unit_imports_of_tests_and_benchmarks_is_an_input() -> None:
+    for unit in UNITS:
+        inputs = set(runner.inputs_of(unit))
+        tests = [path for path in inputs if path.relative_to(ROOT).as_posix() in unit.tests]
+        names = {name for path in tests for name in IMPORTED.findall(path.read_text("utf-8"))}
+        files = {ROOT.joinpath(*name.split(".")).with_suffix(".py") for name in names}
+        assert [path for path in files if path.exists() and path not in inputs] == [], unit.name
 
 
 def test_units_have_names_of_their_own_and_files_that_exist() -> None:

@@ -1,8 +1,8 @@
-"""The proofs, one unit a claim: what is run for it, about how long it takes, what it depends on.
+"""The proofs, one unit a claim: what is run for it, and about how long that takes.
 
-A unit is stale when a file that it depends on has changed since it last passed: its own tests and
-their helpers, the drivers and mocks, and of `hil` the packages up to the one it names, in the order
-of the layers in `pyproject.toml` (what stands above it cannot change its result).
+A unit is stale when a file that it depends on has changed since it last passed: what all depend on
+(`ALWAYS` of the runner: product, dependencies, experiments, helpers of tests), its own test files,
+and what it names besides.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 PYTEST = ("-m", "pytest", "-p", "no:cacheprovider", "--timeout", "5400", "-s")
-CONNECTED = ("-m", "pytest", "-p", "no:cacheprovider", "-n", "2", "--timeout", "600")
 
 
 @dataclass(frozen=True)
@@ -22,7 +21,6 @@ class Unit:
         claim: One sentence that the program may refute.
         run: Arguments of the Python interpreter.
         minutes: What to expect on two cores.
-        package: Topmost package of `hil` that the result depends on.
         further: Other files that it depends on, as patterns relative to the checkout.
     """
 
@@ -30,7 +28,6 @@ class Unit:
     claim: str
     run: tuple[str, ...]
     minutes: float
-    package: str = "cli"
     further: tuple[str, ...] = ()
 
     @property
@@ -39,12 +36,10 @@ class Unit:
         return tuple(part.partition("::")[0] for part in self.run if part.startswith("tests/"))
 
 
-def _tests(
-    name: str, claim: str, *files: str, minutes: float, package: str = "cli", further: str = ""
-) -> Unit:
+def _tests(name: str, claim: str, *files: str, minutes: float, further: str = "") -> Unit:
     """Return a unit that runs the tests of some files that are marked as proofs."""
     run = (*PYTEST, "-m", "proof and not matrix", *files)
-    return Unit(name, claim, run, minutes, package, tuple(further.split()))
+    return Unit(name, claim, run, minutes, tuple(further.split()))
 
 
 def _matrix(name: str, claim: str, file: str, at_once: int) -> Unit:
@@ -52,10 +47,8 @@ def _matrix(name: str, claim: str, file: str, at_once: int) -> Unit:
     return Unit(name, claim, run, minutes=10)
 
 
-def _bench(name: str, claim: str, minutes: float, package: str = "cli") -> Unit:
-    return Unit(
-        f"bench-{name}", claim, ("-m", "hil", "bench", name), minutes, package, ("benchmarks/**/*",)
-    )
+def _bench(name: str, claim: str, minutes: float) -> Unit:
+    return Unit(f"bench-{name}", claim, ("-m", "hil", "bench", name), minutes)
 
 
 UNITS = (
@@ -64,119 +57,97 @@ UNITS = (
         "the 650-pose program runs, fits and passes, 50 times faster than real time",
         "tests/proofs/test_mock.py",
         minutes=3,
-        further="experiments/* benchmarks/**/*",
     ),
     _tests(
         "static",
         "intervals of the static estimators hold the mock's truth as often as they say",
         "tests/proofs/test_static.py",
         minutes=6,
-        package="engine",
     ),
     _tests(
         "stick",
         "ours predicts friction at rest on held-out poses better than the paper's methods",
         "tests/proofs/test_stick_friction.py",
         minutes=8,
-        package="engine",
-        further="benchmarks/static.py",
     ),
     _tests(
         "separation",
         "the static separation study orders the methods as the paper does, and ours first",
         "tests/proofs/test_separation.py",
         minutes=20,
-        package="studies",
-        further="experiments/ur5_static_separation.yaml",
     ),
     _tests(
         "inverse-dynamics",
         "every row of Table II of the network paper is computed, held-out and as printed",
         "tests/proofs/test_inverse_dynamics.py",
         minutes=2,
-        package="studies",
-        further="experiments/*",
     ),
     _tests(
         "identification",
         "intervals of dynamic identification hold, and it beats its peers, on robots unseen before",
         "tests/proofs/test_identification.py",
         minutes=30,
-        package="engine",
-        further="benchmarks/mock_identification.py benchmarks/identification/*",
     ),
     _tests(
         "networks",
         "the default network beats the paper's methods on mock robots unseen before",
         "tests/proofs/test_networks.py",
         minutes=30,
-        package="engine",
-        further="benchmarks/networks.py",
     ),
     _tests(
         "loads",
         "payload and gain estimates have the errors that they state",
         "tests/proofs/test_loads.py",
         minutes=6,
-        package="engine",
+        further="tests/estimators/test_payload*.py tests/estimators/test_controller_gains.py",
     ),
     _tests(
         "payload-check",
         "an undeclared load is found on every arm, and a declared one passes",
         "tests/workflow/test_weighing.py",
         minutes=10,
-        package="workflow",
     ),
     _tests(
         "hand-guiding",
         "hand guiding takes at most half the force on arms that the filter was not tuned on",
         "tests/proofs/test_hand_guiding.py",
         minutes=3,
-        package="control",
     ),
     _tests(
         "recorder",
         "the recorder loses nothing at 500 Hz and costs little",
         "tests/proofs/test_recording.py",
         minutes=5,
-        package="recording",
-        further="benchmarks/**/*",
     ),
     _tests(
         "drift-null",
         "a thousand probes of unchanged robots raise at most the stated rate of alarms",
         "tests/proofs/test_drift_null.py",
         minutes=30,
-        package="maintenance",
     ),
     _tests(
         "null-campaigns",
         "a robot that never changes keeps its model through weekly identification",
         "tests/proofs/test_null_campaigns.py",
         minutes=8,
-        package="maintenance",
     ),
     _tests(
         "simulated-weeks",
         "twelve weeks of a wearing robot: the first probe sees it, one model is promoted",
         "tests/proofs/test_simulation.py",
         minutes=30,
-        package="maintenance",
-        further="experiments/*",
     ),
     _tests(
         "schedule",
         "a schedule killed again and again does each occasion once",
         "tests/proofs/test_schedule.py",
         minutes=8,
-        package="maintenance",
     ),
     _tests(
         "pipeline-kill",
         "killed at more than sixty random points, a schedule ends as if undisturbed",
         "tests/proofs/test_pipeline_kill.py",
         minutes=30,
-        package="maintenance",
     ),
     _tests(
         "kill-runs",
@@ -189,22 +160,18 @@ UNITS = (
         "a hundred robots fitted by processes and by Dask give the same bits",
         "tests/proofs/test_fleet.py",
         minutes=10,
-        package="models",
-        further="benchmarks/fleet.py benchmarks/fleets/*",
     ),
     _tests(
         "fleet-outliers",
         "of thirty simulated robots the worn ones stand out, and nobody else",
         "tests/proofs/test_fleet_mock.py",
         minutes=30,
-        package="maintenance",
     ),
     _tests(
         "ur-programs",
         "whole programs on a mock UR5 through ur-rtde lose no sample and give the same models",
         "tests/proofs/test_ur.py",
         minutes=25,
-        package="workflow",
     ),
     _tests(
         "wire",
@@ -213,7 +180,6 @@ UNITS = (
         "tests/drivers/twincat",
         "tests/robot/test_conformance.py",
         minutes=12,
-        package="workflow",
     ),
     _matrix(
         "faults-embedded",
@@ -238,14 +204,14 @@ UNITS = (
         "thousands of damaged specs, stations, runs and recordings end in one clear error",
         ("-m", "tests.proofs.fuzz_long"),
         20,
-        "recording",
+        ("tests/**/test_fuzz*.py", "tests/planning/test_file.py", "tests/recording/test_rec*.py"),
     ),
     _tests(
         "docs",
         "the long commands of the documentation run as they stand there",
         "tests/proofs/test_docs.py",
         minutes=20,
-        further="docs/**/*.md experiments/**/*",
+        further="docs/**/*.md",
     ),
     _tests(
         "notebooks",
@@ -259,70 +225,58 @@ UNITS = (
         "the example projects' own CI passes against the wheel",
         "tests/proofs/test_example.py",
         minutes=5,
-        further="examples/**/* pyproject.toml",
+        further="examples/**/*",
     ),
     _tests(
         "wheel",
         "the wheel works in fresh environments",
         "tests/proofs/test_wheels.py",
         minutes=5,
-        further="pyproject.toml constraints.txt",
     ),
     Unit(
         "wheels",
         "the wheel works with each set of extras under each Python at hand",
         ("-m", "tests.proofs.install_matrix"),
         30,
-        further=("pyproject.toml", "constraints.txt"),
     ),
     Unit(
         "soak",
         "a simulated day at 500 Hz through the recorder, nothing lost, memory flat",
         ("-m", "hil", "bench", "soak", "--hours", "24"),
         15,
-        "recording",
-        ("benchmarks/soak.py",),
     ),
     _tests(
         "lm",
         "Levenberg–Marquardt arrives sooner than its peers",
         "tests/bench/test_lm.py",
         minutes=12,
-        package="networks",
-        further="benchmarks/lm.py benchmarks/lm_peers/*",
     ),
     _tests(
         "lagrangian",
         "the Lagrangian network's torque is several times quicker than its peer's",
         "tests/bench/test_lagrangian.py",
         minutes=8,
-        package="networks",
-        further="benchmarks/lagrangian.py benchmarks/lagrangian_peers/*",
     ),
     _tests(
         "excitation",
         "the excitation optimiser finds better motions sooner than its peers",
         "tests/bench/test_excite.py",
         minutes=10,
-        package="excitation",
-        further="benchmarks/excite.py benchmarks/excite_peers/*",
     ),
     _tests(
         "can-cycle",
         "the CAN cycle leaves most of a core free",
         "tests/bench/test_can.py",
         minutes=3,
-        package="robot",
-        further="benchmarks/can.py benchmarks/can_bus/*",
     ),
     _bench("startup", "`hil --help` starts about as fast as an empty Python", 1),
-    _bench("mcap", "MCAP is read and written faster than by the reference library", 3, "recording"),
-    _bench("rtde", "RTDE is read with less of a core than ur-rtde needs", 3, "robot"),
-    _bench("regressor", "the compiled regressor beats Pinocchio's", 2, "dynamics"),
-    _bench("collision", "distances along a path cost a fraction of a search", 2, "dynamics"),
-    _bench("predict", "a model predicts in a control cycle", 2, "control"),
-    _bench("catalogue", "a thousand runs are listed in a fraction of a second", 3, "runs"),
-    _bench("interlocks", "judging every sample costs little", 2, "engine"),
-    _bench("crash", "recovery after kills keeps all that was flushed", 5, "recording"),
-    _bench("diffnea", "DiffNEA fits sooner than its peer", 5, "networks"),
+    _bench("mcap", "MCAP is read and written faster than by the reference library", 3),
+    _bench("rtde", "RTDE is read with less of a core than ur-rtde needs", 3),
+    _bench("regressor", "the compiled regressor beats Pinocchio's", 2),
+    _bench("collision", "distances along a path cost a fraction of a search", 2),
+    _bench("predict", "a model predicts in a control cycle", 2),
+    _bench("catalogue", "a thousand runs are listed in a fraction of a second", 3),
+    _bench("interlocks", "judging every sample costs little", 2),
+    _bench("crash", "recovery after kills keeps all that was flushed", 5),
+    _bench("diffnea", "DiffNEA fits sooner than its peer", 5),
 )

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from hil.arms import ArmDescription, Payload
-from hil.core import FloatArray
+from hil.core import FloatArray, SpecError
 from hil_mock_robot.plant.truth import LinkTruth
 
 LEAST_INERTIA = 1e-9
@@ -111,7 +111,13 @@ def build_plant(
         _set_inertial(
             load, LinkTruth(payload.mass, payload.com, payload.inertia), np.zeros(3), np.eye(3)
         )
-    model = spec.compile()
+    try:
+        model = spec.compile()
+    except ValueError as error:
+        raise SpecError(
+            f"the mock cannot simulate this arm: {error}",
+            hint="see mass_kg and inertia_kgm2 in the description of the arm",
+        ) from error
     return Plant(model, mujoco.MjData(model))
 
 
