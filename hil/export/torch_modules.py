@@ -662,7 +662,7 @@ def _dahl_step(states: Tensor, way: Tensor, qd: Tensor, shortness: Tensor) -> Te
         states: (B, M, n) before.
         way: (B, n) change of the positions.
         qd: (B, n) velocities.
-        shortness: (M, n) −1/length of each state.
+        shortness: (M, n) −1/length of each state (negative): how fast it follows the way [1/rad].
     """
     moved = torch.where(way * qd > 0.0, way, 0.0).reshape(-1, 1, states.shape[2])
     toward = torch.sign(moved)

@@ -55,13 +55,13 @@ class RobotProbe:
 
 
 def probe_fleet(path: Path, registry: Registry, false_alarm: float) -> list[RobotProbe]:
-    """Judge the runs of a fleet as probes; one that cannot be judged leaves the others alone.
+    """Judge the runs of a fleet as probes; one that cannot be judged does not stop the others.
 
     Args:
         path: Folder of the fleet.
-        registry: With champions of the robots.
-        false_alarm: Probability with which any of the robots is called changed if none is:
-            nominally, for independent probes that are judged now.
+        registry: Holds the champions of the robots.
+        false_alarm: Probability that at least one robot is called changed although none is; exact
+            only for independent probes that are judged in this call.
 
     Raises:
         DataError: It is no fleet.

@@ -254,7 +254,7 @@ def _motions(data: Dataset, prediction: Prediction, qd: FloatArray) -> MotionPre
 
 
 def _relative_error(measured: FloatArray, predicted: FloatArray, all_measured: FloatArray) -> float:
-    """Return RMSE over signal, all joints together, over the valid samples; −1 without any."""
+    """Return the RMSE relative to the deviation of each joint over valid samples; −1 if none."""
     good = np.isfinite(predicted)
     if not good.any():
         return -1.0

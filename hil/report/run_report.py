@@ -88,8 +88,8 @@ def render_report(run: Path, judged: Sequence[Judged] = ()) -> Path:
         The path of the page.
 
     Raises:
-        DataError: It is not a run directory, was written by a newer hil, or its recordings were
-            deleted; an existing page still shows them. Or its arm's description was changed.
+        DataError: It is not a run directory, was written by a newer hil, its recordings were
+            deleted or its arm's description was changed; an existing page keeps its plots.
     """
     page = Path(run) / REPORT_FILE
     if page.exists() and RunDirectory(Path(run)).pruned:

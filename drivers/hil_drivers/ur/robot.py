@@ -469,7 +469,7 @@ class Watch:
         return bool(held)
 
     def is_for_others(self, row: Any) -> bool:
-        """Return whether a motion, if there is one, is another client's.
+        """Return whether another client moves the arm.
 
         Shortly after our program has ended it may be that `ur-rtde` has uploaded it again.
         """

@@ -74,7 +74,7 @@ class Measured(NamedTuple):
 
 
 class Body:
-    """One drawn arm, on its brakes until drives release them.
+    """An arm with randomly drawn parameters, held by its brakes until the drives release them.
 
     Args:
         truth: Its true parameters.

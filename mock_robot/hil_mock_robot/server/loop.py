@@ -92,7 +92,7 @@ class Mishaps:
 
         Args:
             error: The exception.
-            where: The program or client that it ended, in words.
+            where: The program or client that the mistake ended.
 
         Raises:
             Exception: The error itself, unless mishaps are contained.

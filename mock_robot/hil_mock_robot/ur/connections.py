@@ -46,7 +46,7 @@ class Session(Protocol):
         """Whether accelerated time waits until this client has taken all data."""
 
     def received(self, data: bytes) -> None:
-        """Handle bytes of the client, cut anywhere."""
+        """Handle bytes from the client; a message may arrive in pieces."""
 
     def ticked(self) -> None:
         """Send the data that are due after a tick of the controller."""

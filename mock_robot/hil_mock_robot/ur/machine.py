@@ -533,7 +533,7 @@ DAMPING = 0.05
 
 
 class Cartesian:
-    """Fills in the outputs of one machine that need kinematics."""
+    """Computes those outputs of a machine that need its kinematics."""
 
     def __init__(self, machine: Machine) -> None:
         body = machine.body
