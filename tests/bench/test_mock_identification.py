@@ -68,6 +68,7 @@ def test_effort_is_brought_forward_to_its_state(parts: Parts) -> None:
     assert found == pytest.approx(np.sin(data["t"])[:-1, None] * np.ones(6), abs=1e-4)
 
 
+@pytest.mark.thorough
 def test_a_current_is_half_a_servo_cycle_and_half_a_step_old(parts: Parts) -> None:
     truth, series = draw_truth("ur5", 5, "ideal"), parts.recording.trajectories("ur5", 1)
     silent = {"rest_a": 0.0, "moving_a": 0.0, "q_rad": 0.0, "qd_rad_s": 0.0, "qd_rest_rad_s": 0.0}

@@ -133,6 +133,7 @@ def test_the_longer_path_is_found_by_its_end() -> None:
     assert explain_key("hold_out.seed") == explain_key("validate.hold_out.seed")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("typed", "meant"),
     [
@@ -148,6 +149,7 @@ def test_a_slip_in_the_end_of_a_path_is_guessed(typed: str, meant: str) -> None:
     assert told(meant)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_of_file_has_a_schema(kind: str) -> None:
     assert json.loads(CliRunner().invoke(app, ["schema", kind]).stdout)["title"] == f"hil {kind}"

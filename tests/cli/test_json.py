@@ -155,6 +155,7 @@ def test_lists_fit_a_narrow_terminal(
     assert unbroken == []
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("verb", LISTS)
 def test_nothing_is_broken_in_a_pipe(
     verb: str, empty: Path, monkeypatch: pytest.MonkeyPatch

@@ -81,6 +81,7 @@ def test_import_never_replaces_a_file_and_says_how_to_go_on(tmp_path: Path) -> N
     assert (tmp_path / "out.mcap").read_text() == "mine"
 
 
+@pytest.mark.thorough
 def test_import_makes_no_folders_unasked(tmp_path: Path) -> None:
     done = importing(tmp_path, "imprted/out.mcap")
     assert done.returncode == 7
@@ -88,6 +89,7 @@ def test_import_makes_no_folders_unasked(tmp_path: Path) -> None:
     assert not (tmp_path / "imprted").exists()
 
 
+@pytest.mark.thorough
 def test_columns_are_counted_from_one(tmp_path: Path) -> None:
     (tmp_path / "map.yaml").write_text(MAP.replace('"1:2"', '"0:1"'), "utf-8")
     (tmp_path / "run.csv").write_text("0,0,1,1\n0.1,0.1,1,2\n", "utf-8")
@@ -96,6 +98,7 @@ def test_columns_are_counted_from_one(tmp_path: Path) -> None:
     assert "columns.q.columns: columns are counted from 1" in done.stderr
 
 
+@pytest.mark.thorough
 def test_the_schema_of_import_maps_is_printed() -> None:
     schema = json.loads(hil("schema", "map").stdout)
     assert schema["title"] == "hil map"

@@ -196,6 +196,7 @@ def test_rotor_inertias_of_a_urdf_are_named_and_left_out() -> None:
     assert note.endswith(": A4 1.14")
 
 
+@pytest.mark.thorough
 def test_an_arm_that_the_mock_cannot_be_is_not_sent_to_commands_that_refuse_it() -> None:
     fixed = '<joint name="bolted" type="fixed">'
     assert fixed in URDF.read_text()

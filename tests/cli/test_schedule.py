@@ -176,6 +176,7 @@ def test_a_plan_says_what_would_be_done_about_what_was_missed() -> None:
     assert second["count"] > 3
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("words", "keys", "told"),
     [
@@ -230,6 +231,7 @@ def test_times_are_those_of_the_schedules_zone() -> None:
     assert re.search(r"next: \w+ [\d-]+ 03:00 \(Asia/Kolkata\)", told)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("cron", "mistake"),
     [
@@ -317,6 +319,7 @@ def test_units_have_absolute_paths() -> None:
     assert f"run {here}/nightly.yaml " in text
 
 
+@pytest.mark.thorough
 def test_motions_are_those_of_the_plans(monkeypatch: pytest.MonkeyPatch) -> None:
     seconds: list[float] = []
 

@@ -94,6 +94,7 @@ def test_a_study_that_fails_is_an_exit_code_and_one_error(run: Path) -> None:
     assert "report:" not in done.stdout
 
 
+@pytest.mark.thorough
 def test_a_trial_that_fails_leaves_no_mark_on_the_run(run: Path) -> None:
     CliRunner().invoke(app, ["study", str(run)])
     CliRunner().invoke(app, ["study", str(run), "--set", "ending=fails"])

@@ -139,6 +139,7 @@ def test_ctrl_c_says_how_to_go_on_and_the_fit_ends_with_the_same_model(
     assert again["folder"].name == whole["folder"].name  # type: ignore[attr-defined]
 
 
+@pytest.mark.thorough
 def test_in_a_pipe_the_beginning_is_told_on_stderr(
     sources: list[Path], whole: dict[str, object], tmp_path: Path
 ) -> None:

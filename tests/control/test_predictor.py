@@ -62,6 +62,7 @@ def test_a_reset_forgets_the_way_and_keeps_the_load(model) -> None:
     assert np.array_equal(said(predictor), first)
 
 
+@pytest.mark.thorough
 @needs_compiler
 def test_parts_add_up_to_the_effort(model) -> None:
     predictor = Predictor(model, LOAD)
@@ -117,6 +118,7 @@ ODD = (
 )  # fmt: skip
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("how", [None, False])
 def test_what_is_not_one_number_per_joint_is_refused(how, model) -> None:
     predictor = Predictor(model, compiled=how)
@@ -138,6 +140,7 @@ def test_lists_and_other_precisions_will_do(how, model) -> None:
     )
 
 
+@pytest.mark.thorough
 @needs_compiler
 def test_a_load_that_is_none_is_refused(model) -> None:
     load = Payload(mass=1.0)
@@ -219,6 +222,7 @@ def test_a_compiler_that_is_named_has_to_work(name, match, model, monkeypatch) -
         Predictor(model)
 
 
+@pytest.mark.thorough
 @needs_compiler
 def test_a_compiler_may_be_named_with_options(model, monkeypatch) -> None:
     monkeypatch.setenv("CC", "cc -DNEVER_SEEN='a b'")

@@ -144,6 +144,7 @@ def test_the_model_ahead_is_the_torque_the_true_arm_takes() -> None:
     )
 
 
+@pytest.mark.thorough
 def test_a_load_is_part_of_every_law_but_none() -> None:
     asked, gains = reference(), np.ones(6)
     load = Payload(2.0, (0.0, 0.0, 0.05))

@@ -87,6 +87,7 @@ def test_the_datasheet_carries_the_arm_too(monkeypatch) -> None:
     assert given[try_out.NOTHING] is None
 
 
+@pytest.mark.thorough
 def test_an_arm_that_strays_from_the_hand_is_braked() -> None:
     asked = iter(range(10**6))
 

@@ -73,6 +73,7 @@ def test_any_document_in_its_place(kind: str, data: st.DataObject) -> None:
     refusal(as_yaml(data.draw(ANYTHING)), KINDS[kind][1])
 
 
+@pytest.mark.thorough
 @kinds
 @examples(25)
 @given(data=st.data())
@@ -89,6 +90,7 @@ BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
 )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "content",
     [

@@ -53,6 +53,7 @@ def test_sleeps_and_locks_count_in_full() -> None:
         asked.require(0.1)
 
 
+@pytest.mark.thorough
 def test_a_sleep_counts_in_full_while_others_wait_for_a_core(rivals: list[int]) -> None:
     for slept_s in (0.12, 0.2, 0.5):
         asked = InTime(*rivals)
@@ -70,6 +71,7 @@ def test_a_sleep_of_ours_is_never_excused(rivals: list[int]) -> None:
         asked.require(0.1)
 
 
+@pytest.mark.thorough
 def test_who_is_kept_from_a_core_is_too_late_and_nobody_knows_why(rivals: list[int]) -> None:
     asked, worked = InTime(), time.thread_time()
     work()

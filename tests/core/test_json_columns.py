@@ -65,6 +65,7 @@ def test_columns_that_cannot_be_read_are_refused(wrong: str) -> None:
         column(wrong, {"v": 1.0})
 
 
+@pytest.mark.thorough
 def test_every_column_that_there_may_be_can_be_read() -> None:
     law = fitted_or_skip("rigid-hysteresis").law_
     names = [

@@ -103,6 +103,7 @@ def test_aliases_are_refused_before_they_are_followed(
     assert peak(lambda: refused(READERS[reader], path)) <= MOST_BYTES
 
 
+@pytest.mark.thorough
 def test_validate_refuses_aliases_as_cheaply_as_it_refuses_any_other_mistake(
     tmp_path: Path,
 ) -> None:
@@ -119,6 +120,7 @@ def test_validate_refuses_aliases_as_cheaply_as_it_refuses_any_other_mistake(
     assert peak(lambda: validate(bomb)) <= MOST_BYTES
 
 
+@pytest.mark.thorough
 def test_the_most_that_a_short_file_may_stand_for_is_cheap_as_well(tmp_path: Path) -> None:
     """Whatever is let through is bounded too: a file just below the limit."""
     head = f"a: &a [{'1,' * 100}]\nb: "

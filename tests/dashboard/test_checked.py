@@ -75,6 +75,7 @@ def test_what_is_as_it_was_checked_is_started(desk: Desk) -> None:
     assert desk.post("start").status_code == 303  # checking is offered, not demanded
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "fields",
     [{"overrides": "excitation.waypoints=8"}, {"station": ""}, {"speed": "10%"}, {"first": "4"}],

@@ -75,6 +75,7 @@ def test_values_of_another_kind_break_no_page(lab: Path, value: object) -> None:
         file.write_bytes(kept)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("key", ["device_s", "samples", "reason", "problems", "stopped"])
 def test_a_number_that_is_none_says_nothing(lab: Path, key: str) -> None:
     stop = run_in(lab) / "stop.json"

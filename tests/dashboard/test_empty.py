@@ -33,6 +33,7 @@ def lab(tmp_path: Path) -> Path:
     return folder
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("address", "verbs"),
     [("/", ["run", "schedule run"]), ("/runs", ["run"]), ("/models", ["models register"]),

@@ -74,6 +74,7 @@ def test_modules_in_the_working_folder_are_not_imported(
     assert not mark.exists()
 
 
+@pytest.mark.thorough
 def test_a_plan_that_takes_too_long_is_ended_and_said(
     tmp_path: Path, plans_as: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

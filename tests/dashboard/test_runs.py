@@ -61,6 +61,7 @@ def test_what_ended_early_says_why_and_how_to_go_on(lab: Path) -> None:
         assert text in told
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "name", ["start.json", "stop.json", "plan.json", "verdict.json", "spec.yaml", "preflight.json"]
 )

@@ -137,6 +137,7 @@ def once(desk: Desk) -> str:
     return str(value)
 
 
+@pytest.mark.thorough
 def test_a_form_that_is_sent_twice_starts_one_run(
     desk: Desk, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -37,6 +37,7 @@ def dwell_rows(speed: FloatArray) -> StructArray:
 speeds = hnp.arrays(np.float64, st.integers(1, 60), elements=st.sampled_from([0.0, 0.001, 0.01]))
 
 
+@pytest.mark.thorough
 @given(speeds)
 @settings(max_examples=300)
 def test_a_dwell_is_over_in_the_data_exactly_if_the_engine_called_it_over(

@@ -271,6 +271,7 @@ def test_a_station_that_is_wrong_is_one_bad_line(tmp_path: Path) -> None:
     assert level_of(station_robots(tmp_path / "none.yaml")) == "bad"
 
 
+@pytest.mark.thorough
 def test_something_bad_is_exit_code_1_and_one_document(station: Path) -> None:
     done = CliRunner().invoke(app, ["doctor", "--station", str(station), "--json"])
     document = json.loads(done.stdout)
@@ -279,6 +280,7 @@ def test_something_bad_is_exit_code_1_and_one_document(station: Path) -> None:
     assert [one["what"] for one in document if one["level"] == "bad"]
 
 
+@pytest.mark.thorough
 def test_every_look_answers_here() -> None:
     found = examine()
     assert {"python", "packages", "runs", "clock", "real-time", "can"} <= {f.what for f in found}

@@ -79,6 +79,7 @@ def test_a_wrist_can_meet_the_foot_of_the_arm(name, bodies, q):
     assert found == bodies
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", [*UR_ARMS, "lab6"])
 def test_most_of_the_excitation_range_is_usable(name):
     arm = load_arm(name)

@@ -199,6 +199,7 @@ def test_a_payload_that_reads_back_differently_ends_the_run() -> None:
     assert "reads back" in result.reason
 
 
+@pytest.mark.thorough
 def test_observers_that_raise_or_sleep_change_nothing() -> None:
     class Raises:
         def notify(self, event: Any) -> None:

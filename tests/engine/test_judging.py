@@ -37,6 +37,7 @@ def boo(block: StructArray) -> None:
     raise ValueError("boo")
 
 
+@pytest.mark.thorough
 def test_an_interlock_that_raises_is_named_with_its_place() -> None:
     robot = KinematicRobot()
     result = engine(robot, ListSink(), interlocks=[Foreign("raiser", boo)]).run()

@@ -85,6 +85,7 @@ def test_a_move_may_take_as_long_as_the_slider_makes_it() -> None:
     assert result.outcome is Outcome.COMPLETED, result.reason
 
 
+@pytest.mark.thorough
 def test_a_move_that_does_not_end_at_all_ends_the_run() -> None:
     robot = Slow(0.002, first=0)
     result = engine(robot, ListSink()).run()

@@ -132,6 +132,7 @@ def test_a_correction_nobody_knows_and_a_level_that_cannot_be_are_refused(proble
         ClusteredLeastSquares().fit(X, y).interval(95)
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore::sklearn.exceptions.SkipTestWarning")
 def test_scikit_learns_own_checks_pass() -> None:
     check_estimator(ClusteredLeastSquares(), on_skip=None)

@@ -177,6 +177,7 @@ def test_what_the_data_tell_does_not_depend_on_the_nominal_arm() -> None:
     assert np.sqrt(np.mean(away**2)) < 0.1 * 0.05
 
 
+@pytest.mark.thorough
 def test_currents_and_torques_give_the_same_parameters() -> None:
     torque = moving(*SEEDS, kind="torque")
     current = moving(*SEEDS)
@@ -186,6 +187,7 @@ def test_currents_and_torques_give_the_same_parameters() -> None:
     np.testing.assert_allclose(one.coefficients_, other.coefficients_, rtol=1e-6, atol=1e-6)
 
 
+@pytest.mark.thorough
 def test_stribeck_shapes_are_found() -> None:
     data = stribeck(moving(*SEEDS, noise_a=0.01), 0.08, 1.3)
     found = RigidDiffnea(friction="stribeck").fit(data, nominal())

@@ -8,6 +8,7 @@ from hil.estimators import estimator
 from tests.support.synthetic_motion import moving, nominal, raw
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["rigid-wls", "rigid-linear"])
 def test_a_fit_uses_every_fourth_row_and_predicts_all_of_them(name) -> None:
     data = raw(moving(1, 2, 3))

@@ -29,6 +29,7 @@ def test_weights_are_those_of_scikit_learn_with_the_same_penalty() -> None:
     assert ours.predict(X) == pytest.approx(theirs.predict(standardised(X)), abs=1e-10)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("noise", [0.01, 1.0, 10.0])
 def test_the_penalty_is_the_one_a_grouped_grid_search_chooses(noise) -> None:
     X, y, groups = problem(noise)

@@ -56,6 +56,7 @@ def test_one_trajectory_is_noted_and_two_are_not(train) -> None:
     assert made().fit(train, nominal()).notes_ == ()
 
 
+@pytest.mark.thorough
 def test_a_robot_of_a_urdf_has_no_ripple_unless_its_gear_ratio_is_given(train, tmp_path) -> None:
     robot = RobotModel.from_urdf(written(tmp_path, urdf("ur5")))
     plain = made(friction="auto").fit(train, robot)
@@ -77,6 +78,7 @@ def test_warm_joints_are_learnt_where_temperature_varied() -> None:
     assert np.all(rms(model, test)[[0, 2]] < 0.5 * rms(blind, test)[[0, 2]])
 
 
+@pytest.mark.thorough
 def test_temperature_with_gaps_is_left_alone(train) -> None:
     celsius = np.linspace(20.0, 40.0, len(train))[:, None] * np.ones(6)
     celsius[5, 3] = np.nan
@@ -93,6 +95,7 @@ def test_a_gap_in_the_temperature_that_is_predicted_with_stands_for_the_referenc
     assert np.array_equal(model.predict(gaps).effort, model.predict(usual).effort)
 
 
+@pytest.mark.thorough
 def test_joints_that_transmit_next_to_nothing_have_no_load_columns() -> None:
     chosen = made(friction="auto").fit(remembering(1, 2, 3), nominal()).law_.chosen
     assert LOADED & set(chosen[1])

@@ -165,6 +165,7 @@ def test_a_load_is_as_much_too_light_as_gains_say(joint: int) -> None:
     assert np.max(np.abs(told[:4])) > 1e-4
 
 
+@pytest.mark.thorough
 def test_a_load_that_cannot_be_told_is_still_a_body() -> None:
     small = Payload(0.3, (0.0, 0.0, 0.02), (1e-4, 1e-4, 1e-4, 0.0, 0.0, 0.0))
     found = [estimate_payload(model(), under_load(s, load=small, noise_a=0.3)) for s in (5, 6, 7)]
@@ -172,6 +173,7 @@ def test_a_load_that_cannot_be_told_is_still_a_body() -> None:
     assert all(is_consistent(payload_parameters(one.payload)) for one in found)
 
 
+@pytest.mark.thorough
 def test_rows_left_out_are_not_looked_at() -> None:
     data = under_load(5)
     first = np.arange(len(data)) < 300
@@ -180,6 +182,7 @@ def test_rows_left_out_are_not_looked_at() -> None:
     assert ours.payload == estimate_payload(model(), data, rows=first).payload
 
 
+@pytest.mark.thorough
 def test_halves_are_tested_on_each_other() -> None:
     one, two = payload_halves(model(), under_load(5))
     assert (one.fitted, two.fitted) == ("first", "second")
@@ -187,6 +190,7 @@ def test_halves_are_tested_on_each_other() -> None:
     assert np.all(two.rmse_ignored[1:4] > 3 * two.rmse_raw[1:4])
 
 
+@pytest.mark.thorough
 def test_a_declared_load_does_not_count() -> None:
     declared = moving(5, noise_a=NOISE_A, load=LOAD)
     assert estimate_payload(model(), declared).payload == (

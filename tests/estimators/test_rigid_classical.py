@@ -117,6 +117,7 @@ def test_links_can_exist_and_friction_takes_energy(fitted) -> None:
         assert np.all(np.isnan(model.covariance_))
 
 
+@pytest.mark.thorough
 def test_spikes_hardly_move_robust_weights(data) -> None:
     random = np.random.default_rng(0)
     spikes = 3.0 * (random.random(data["effort"].shape) < 0.03)
@@ -132,6 +133,7 @@ def test_spikes_hardly_move_robust_weights(data) -> None:
     assert error("rigid-irls", loss="tukey", **robust) < 0.2 * error("rigid-linear")
 
 
+@pytest.mark.thorough
 def test_friction_that_grows_like_a_power_of_speed_is_found() -> None:
     data = moving(*TRAIN, noise_a=0.01)
     change = VISCOUS * (power_of_speed(data["qd_f"], 0.5, 0.01) - data["qd_f"]) / GAINS
@@ -147,6 +149,7 @@ def test_friction_that_grows_like_a_power_of_speed_is_found() -> None:
     assert step == pytest.approx(model.predict(test).effort[3], abs=1e-10)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("filter_columns", [False, True])
 def test_friction_is_biased_by_filters_unless_its_columns_are_filtered_too(filter_columns) -> None:
     data = raw(moving(*range(1, 9), noise_a=0.002))

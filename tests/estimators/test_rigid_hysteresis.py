@@ -114,6 +114,7 @@ def test_stream_is_the_model_sample_by_sample_without_filters(quick, held_out) -
     assert streamed(quick, held_out) == pytest.approx(by_hand(quick, held_out), abs=2e-3)
 
 
+@pytest.mark.thorough
 def test_prediction_is_the_stream_through_the_filter_of_the_effort(quick, held_out) -> None:
     data, still = prepare(held_out, quick.filters_), np.zeros(held_out["q"].shape)
     parts = quick.predict(data.with_columns(qdd_f=still, qd_f=data["qd"])).components

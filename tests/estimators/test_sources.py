@@ -55,6 +55,7 @@ def sources(tmp_path_factory):
     return [recording(folder, seed) for seed in (1, 2, 9)]
 
 
+@pytest.mark.thorough
 def test_report_has_the_keys_of_the_contract_and_the_model_is_stored(sources, tmp_path) -> None:
     report = hil.fit(
         sources[:2], estimator="rigid-wls", validate=sources[2:], out=tmp_path
@@ -92,6 +93,7 @@ def test_stored_model_is_judged_again_to_the_same_numbers(sources, tmp_path) -> 
     assert again["nrmse"] == pytest.approx(again["rmse_raw"] / np.std(effort, axis=0))
 
 
+@pytest.mark.thorough
 def test_judging_a_model_on_its_training_data_is_refused(sources, tmp_path) -> None:
     report = hil.fit(sources[:2], estimator="rigid-wls", out=tmp_path)
     copy = recording(tmp_path, 1, name="copy", late_s=100.0)
@@ -136,6 +138,7 @@ def test_evaluations_of_a_model_are_kept(sources, tmp_path) -> None:
     assert sorted(map(str, fit(sources[2]))) == sorted(map(str, both))
 
 
+@pytest.mark.thorough
 def test_damaged_evaluation_is_refused_rather_than_lost(sources, tmp_path) -> None:
     folder = hil.fit(sources[:2], estimator="rigid-wls", out=tmp_path).fitted.folder
     (folder / "evaluation.json").write_text("[1]")

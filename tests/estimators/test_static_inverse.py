@@ -87,6 +87,7 @@ def test_noise_does_not_pull_the_curve_as_it_does_with_the_current_among_the_inp
     assert np.abs(np.mean(printed) - K2[1]) > 8 * np.std(printed) / np.sqrt(len(printed))
 
 
+@pytest.mark.thorough
 def test_intervals_hold_the_true_constant_as_often_as_they_say() -> None:
     hits = []
     for seed in range(16):

@@ -123,6 +123,7 @@ def test_a_missing_dask_names_its_extra(monkeypatch: pytest.MonkeyPatch) -> None
     assert "hil[fleet]" in caught.value.hint
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("value", ["127.0.0.1:8786", "tcp://", "tcp://host", 8786, ""])
 def test_what_is_no_address_is_refused_by_name(value: object) -> None:
     with pytest.raises(SpecError, match="dask"):

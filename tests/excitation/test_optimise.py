@@ -42,6 +42,7 @@ def jerk(series: FourierSeries) -> FloatArray:
     return np.asarray(np.diff(qdd, axis=0) * RATE_HZ)
 
 
+@pytest.mark.thorough
 def test_all_limits_are_kept_between_the_points_of_the_grid(found: Optimised) -> None:
     dense = found.series.sample(RATE_HZ)
     assert np.abs(dense.q).max() <= np.pi
@@ -68,6 +69,7 @@ def test_the_condition_is_that_of_pinocchios_base_regressor_on_many_samples(
     assert found.objective == found.condition_raw
 
 
+@pytest.mark.thorough
 def test_it_is_far_better_than_the_best_of_many_random_motions(found: Optimised) -> None:
     limits, value_of = LinearLimits(problem()), ValueOf(problem())
     rng = np.random.default_rng(0)
@@ -146,6 +148,7 @@ def test_gradients_of_distances_and_torques_are_those_of_finite_differences() ->
         np.testing.assert_allclose(rows[:, *place], slope, rtol=1e-4, atol=1e-4)
 
 
+@pytest.mark.thorough
 def test_a_second_trajectory_made_to_complement_betters_both_more_than_one_made_alone(
     found: Optimised,
 ) -> None:
@@ -158,6 +161,7 @@ def test_a_second_trajectory_made_to_complement_betters_both_more_than_one_made_
     assert joint.condition_raw == pytest.approx(np.linalg.cond(both), rel=1e-6)
 
 
+@pytest.mark.thorough
 def test_a_large_determinant_can_be_asked_for_instead() -> None:
     given = problem(objective="log_det")
     best = optimise(given, starts=1, seed=0, iterations=25)

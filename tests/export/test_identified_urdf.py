@@ -210,6 +210,7 @@ def test_the_command_tells_what_is_in_the_file(
         assert text.splitlines()[-1].startswith("  read back, against the model: gravity and in")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("load", [None, LOAD])
 def test_the_command_for_loads_tells_the_load_or_that_none_shows(model, load, tmp_path) -> None:
     from hil.importers import import_recording

@@ -253,6 +253,7 @@ def test_a_model_that_is_not_fitted_is_refused(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.thorough
 def test_the_how_to_runs_as_it_stands_there_without_hil(tmp_path: Path) -> None:
     (tmp_path / "parameters.json").write_text(json.dumps(told("rigid-wls")), "utf-8")
     shutil.copy(json_reader.__file__, tmp_path)

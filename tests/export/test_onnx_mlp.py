@@ -66,6 +66,7 @@ def test_a_static_network_says_its_friction(options, tmp_path) -> None:
     assert written.effort_unit == "A"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("options", TRUNK.values(), ids=TRUNK)
 def test_a_trunk_gives_the_mass_matrix_by_the_formula_in_its_notes(options, tmp_path) -> None:
     model = learned(**options)

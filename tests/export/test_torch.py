@@ -143,6 +143,7 @@ def test_the_file_is_read_back_and_compared(written) -> None:
     assert told.effort_unit == "A"
 
 
+@pytest.mark.thorough
 def test_the_file_says_how_to_call_it(written) -> None:
     model, told = written
     extra = {"hil.json": ""}
@@ -166,6 +167,7 @@ def test_the_example_of_the_page_runs(written, tmp_path, monkeypatch) -> None:
     assert found["effort"][0].numpy() == pytest.approx(golden.loaded[0], abs=1e-12)
 
 
+@pytest.mark.thorough
 def test_many_streams_at_once_say_what_each_says(written) -> None:
     model, told = written
     program = torch.export.load(told.out).module()

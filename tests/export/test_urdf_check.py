@@ -133,6 +133,7 @@ def test_motors_that_move_two_joints_are_refused(tmp_path: Path) -> None:
     assert "robot: tx40" in str(refused.value.hint)
 
 
+@pytest.mark.thorough
 def test_joints_that_slide_are_told_in_their_units(tmp_path: Path) -> None:
     slides = fitted_arm("sliding", tmp_path)
     folder = slides.save(tmp_path / "model")

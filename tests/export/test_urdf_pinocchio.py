@@ -70,6 +70,7 @@ def test_links_of_a_model_of_the_mock_have_its_torques(name: str, recorded, tmp_
     assert np.max(differences(model, told)) < EXACT * largest(model)
 
 
+@pytest.mark.thorough
 def test_base_parameters_of_links_that_exist_have_their_torques(tmp_path) -> None:
     pytest.importorskip("cvxpy")
     model = estimator("rigid-wls").fit(moving(1, 2, 3), nominal())

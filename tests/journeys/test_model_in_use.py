@@ -73,6 +73,7 @@ def test_poses_of_a_fitted_model_load_the_brakes_less_than_home(found) -> None:
     assert found["poses"][0]["brakes_fail"]["outcome"] == "tips"
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("few_searches")
 def test_walls_of_the_station_are_kept_clear_of(folder, found, tmp_path) -> None:
     low = {"name": "hood", "point_m": [0, 0, 0.7], "normal": [0, 0, -1]}
@@ -118,6 +119,7 @@ def test_what_cannot_be_is_an_error(folder, arguments, error, problem) -> None:
         asked(folder, *arguments)
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("few_searches")
 def test_in_a_terminal_of_60_columns_no_line_is_longer(folder, monkeypatch) -> None:
     monkeypatch.setattr("hil.cli.rest_pose.out_width", lambda: 60)

@@ -243,6 +243,7 @@ def runs(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     return root
 
 
+@pytest.mark.thorough
 def test_the_catalogue_has_a_run_of_any_name(runs: Path, hil: Callable[..., Said]) -> None:
     there = {str(path) for path in runs.glob("*/*/*")}
     for query in ((), ("number>0",), ("number>0", "--rebuild")):  # read, kept, and read again

@@ -185,6 +185,7 @@ def test_panda_files_are_put_together(tmp_path) -> None:
     assert 1 / np.mean(np.diff(data["t"])) == pytest.approx(1000, rel=0.1)
 
 
+@pytest.mark.thorough
 def test_tx40_joints_are_behind_their_gears(tmp_path) -> None:
     out = tmp_path / "tx40.mcap"
     report = import_recording(DATA / "tx40", map_file=MAPS / "tx40_figaroh.yaml", out=out)

@@ -100,6 +100,7 @@ def test_another_spec_is_another_run(made: Path, place: Place, tmp_path: Path) -
     assert place.count() == 2
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("how", ["killed", "by signal", "before the verdict"])
 def test_a_run_that_was_cut_off_is_gone_on_with(place: Place, how: str) -> None:
     ends: dict[str, object] = {"outcome": "stopped", "exit_code": 130, "reason": "SIGTERM"}
@@ -192,6 +193,7 @@ def test_an_arm_that_was_replaced_does_not_take_over_the_run(place: Place) -> No
         place.measure()
 
 
+@pytest.mark.thorough
 def test_a_run_that_asks_for_somebody_is_refused_before_it_begins(tmp_path: Path) -> None:
     robots = {"ur5": {"driver": "mock", "model": "ur5", "options": {"clock": "wall"}}}
     station = json.dumps({"hil_station": 1, "robots": robots})

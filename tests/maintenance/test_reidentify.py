@@ -152,6 +152,7 @@ def test_a_quiet_probe_starts_nothing(robot: Robot) -> None:
     assert len(events(robot)) == 3
 
 
+@pytest.mark.thorough
 def test_a_probe_is_compared_with_those_of_its_own_program(robot: Robot) -> None:
     """Along another motion a model errs otherwise, which is no change of the robot."""
     robot.due(0)
@@ -165,6 +166,7 @@ def test_a_probe_is_compared_with_those_of_its_own_program(robot: Robot) -> None
     assert [one.chart.reference for one in bands] == [0, 0, 1]
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("drifted")
 def test_a_change_is_identified_and_the_challenger_promoted(robot: Robot) -> None:
     robot.due(0)
@@ -266,6 +268,7 @@ def test_the_first_one_does_not_take_the_place_of_another_first_one(robot: Robot
     assert told["text"].endswith("the first one: v1 has become champion meanwhile")
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("drifted")
 def test_a_challenger_that_errs_more_on_held_out_data_is_never_promoted(robot: Robot) -> None:
     """Fitted to a single trajectory of five seconds."""
@@ -309,6 +312,7 @@ def test_without_its_model_a_campaign_says_why(robot: Robot, tmp_path: Path, rec
         robot.due(0)
 
 
+@pytest.mark.thorough
 def test_the_champion_does_not_challenge_itself(robot: Robot) -> None:
     robot.due(0)
     told = robot.due(1, "campaign")

@@ -19,6 +19,7 @@ ANALYZE = shutil.which("systemd-analyze")
 ODD = 'a b/100 % of "$HOME"\\x/nightly.yaml'
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(ANALYZE is None, reason="no systemd here")
 @pytest.mark.parametrize("timer", [False, True], ids=["service", "timer"])
 @pytest.mark.parametrize("user", [False, True], ids=["system", "user"])

@@ -118,6 +118,7 @@ def test_without_a_champion_there_is_nothing_to_judge_by(model, quiet, tmp_path:
         assess(empty, "ur5", quiet[0])
 
 
+@pytest.mark.thorough
 def test_at_the_command_line(registry, quiet) -> None:
     where = ["--registry", str(registry.root)]
     assert "no probes of ur5 yet" in CliRunner().invoke(app, ["drift", "ur5", *where]).stdout

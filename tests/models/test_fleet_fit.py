@@ -103,6 +103,7 @@ def test_a_model_is_the_one_its_run_has_fitted(runs: list[Path], results: list[F
         assert (own / "model.json").read_bytes() == result.files["model.json"]
 
 
+@pytest.mark.thorough
 def test_a_worker_that_sees_no_run_is_sent_the_samples_and_finds_the_same_bits(
     runs: list[Path], results: list[FitResult], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -77,6 +77,7 @@ def test_what_few_tell_explains_nothing_and_leaves_nobody_out() -> None:
     assert np.isfinite(found.z).all()
 
 
+@pytest.mark.thorough
 def test_the_limit_is_crossed_by_one_fleet_of_a_hundred() -> None:
     found = compare_robots(fleet(1), {})
     assert found is not None

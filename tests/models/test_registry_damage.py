@@ -333,6 +333,7 @@ def lose(*numbers: int) -> Damage:
     return delete
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("numbers", "words"),
     [

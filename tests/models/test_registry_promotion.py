@@ -79,6 +79,7 @@ def test_the_worse_is_never_promoted(registry, sources) -> None:
     assert Registry(registry).log("ur5")[-1].event == "kept"
 
 
+@pytest.mark.thorough
 def test_criteria_are_met_or_there_is_no_promotion(registry, sources) -> None:
     done = called(registry, "promote", "ur5", "v2", *on(sources), "--max-rmse", "1e-9")
     assert isinstance(done.exception, Rejected)
@@ -115,6 +116,7 @@ def test_a_comparison_without_a_champion_names_what_else_can_be_done(registry, s
     assert "hil models promote ur5 v1" in done.exception.hint
 
 
+@pytest.mark.thorough
 def test_what_is_there_is_listed(registry, models) -> None:
     done = called(registry, "register", models["good"], "--name", "ur5", "--challenger")
     assert "ur5 v2: rigid-wls" in done.stdout

@@ -149,6 +149,7 @@ def test_columns_of_another_width_are_no_dataset(column, shape) -> None:
     assert caught.value.hint
 
 
+@pytest.mark.thorough
 @kinds
 @pytest.mark.parametrize("column", ["t", "q", "qd", "effort"])
 def test_a_prediction_is_not_made_of_what_is_none(kind, column) -> None:
@@ -171,6 +172,7 @@ def test_nothing_is_predicted_of_nothing(kind) -> None:
         assert fitted(kind).predict(data.take([])).effort.shape == (0, 6)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", [*KINDS, "on a network"])
 def test_another_rate_is_refused_by_what_counts_samples_alone(kind) -> None:
     slow = scaled(moving(9), t=3.0)

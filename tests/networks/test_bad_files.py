@@ -76,6 +76,7 @@ def changed(kind: str, *way: Any, to: Any) -> bytes:
     return json.dumps(document).encode()
 
 
+@pytest.mark.thorough
 @kinds
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.99])
 def test_a_file_that_ends_early_is_told(kind: str, share: float) -> None:

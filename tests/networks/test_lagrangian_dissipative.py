@@ -137,6 +137,7 @@ def test_no_friction_is_none() -> None:
     assert list(network.parameters()) == []
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["coulomb", "stribeck", "dissipative", "unconstrained"])
 def test_friction_can_be_traced_for_export(kind: str) -> None:
     network = friction_network(kind, 3, SCALE).double()  # type: ignore[arg-type]

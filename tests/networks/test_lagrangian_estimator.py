@@ -129,6 +129,7 @@ def test_a_stream_says_what_a_prediction_says(fitted) -> None:
     assert np.allclose(single, fitted.predict(data).effort, atol=1e-5)
 
 
+@pytest.mark.thorough
 def test_a_stream_carries_dahls_state_along() -> None:
     data = remembering(1, 2, 3)
     model = made(direction="dahl").fit(data, nominal())
@@ -251,6 +252,7 @@ def test_protocol_paper_takes_the_papers_settings(fitted) -> None:
     assert fitted.design_.network.activation != "relu"
 
 
+@pytest.mark.thorough
 def test_settings_of_the_friction_are_laid_over_those_of_the_protocol(tmp_path) -> None:
     changed = {"offset": False, "speed_bounds": [0.01, 0.5], "rest_speed": 0.2}
     model = made(friction_settings=changed).fit(moving(1, 2, 3), nominal())

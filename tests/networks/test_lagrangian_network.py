@@ -93,6 +93,7 @@ def test_mass_matrix_is_positive_definite_where_the_diagonal_has_died() -> None:
     assert least.item() == pytest.approx(SETTINGS["literal"].epsilon, rel=1e-3)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["ours", "silu-head", "literal"])
 def test_gradient_by_every_weight_equals_finite_differences(name) -> None:
     settings = SETTINGS[name].model_copy(update={"hidden": (5, 4)})

@@ -8,6 +8,7 @@ from sklearn.utils.estimator_checks import check_estimator
 from hil.networks.lm_regressor import LevenbergMarquardtRegressor
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore::hil.networks.lm.ConstantInputWarning")
 @pytest.mark.filterwarnings("ignore::sklearn.exceptions.SkipTestWarning")
 def test_check_estimator_passes() -> None:

@@ -71,11 +71,13 @@ def test_corrections_stay_below_the_largest_residual_there_was() -> None:
     assert np.max(np.abs(added), axis=0) == pytest.approx(1e-3 * narrow.kept)
 
 
+@pytest.mark.thorough
 def test_equal_seeds_give_equal_models() -> None:
     again = unfitted().fit(known(), nominal()).fitted_arrays()
     assert all(np.array_equal(again[k], a) for k, a in model().fitted_arrays().items())
 
 
+@pytest.mark.thorough
 def test_rows_that_are_judged_are_not_learned_from() -> None:
     part = np.full(len(known()), TRAINING)
     part[known().offsets[2] : known().offsets[3]] = VALIDATION
@@ -166,6 +168,7 @@ def test_an_arm_at_rest_may_be_sampled_at_any_rate() -> None:
     assert np.array_equal(beside[: len(alone)], alone)
 
 
+@pytest.mark.thorough
 def test_torque_it_hears_is_told_beside_holding_the_last_torque() -> None:
     heard = unfitted(inputs="history", latency_s=0.03).fit(known(), nominal())
     assert heard.protocol == "honest: torque history ending at least 30 ms before"

@@ -52,6 +52,7 @@ def test_joints_decide_for_themselves() -> None:
     assert "dropped for knee (" in dropped
 
 
+@pytest.mark.thorough
 def test_physics_says_nothing_of_a_trajectory_it_was_fitted_to() -> None:
     data = moving(1, 2, 3, 4)
     spoilt = data["effort"].copy()

@@ -32,6 +32,7 @@ def noisy() -> Dataset:
     return data.with_columns(effort_f=moving(1, 2, 3, 4)["effort"])
 
 
+@pytest.mark.thorough
 def test_a_history_and_the_network_that_hears_it_are_judged_on_the_torque_as_recorded() -> None:
     _, held, ours = told(noisy(), inputs="history", base={"estimator": "rigid-wls"})
     assert ours > 0.95

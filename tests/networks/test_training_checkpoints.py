@@ -136,6 +136,7 @@ def test_a_damaged_checkpoint_is_refused_with_its_remedy(tmp_path: Path, damage:
     assert caught.value.hint
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("version", [1, 99, True, "2", None, {}])
 def test_a_checkpoint_of_another_version_is_refused_as_such(tmp_path: Path, version) -> None:
     interrupted(tmp_path, 3)
@@ -155,6 +156,7 @@ def test_one_state_is_left_in_the_folder(tmp_path: Path, monkeypatch: pytest.Mon
     assert len(list(tmp_path.iterdir())) == 2
 
 
+@pytest.mark.thorough
 def test_a_crash_while_writing_leaves_the_checkpoint_before(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -192,6 +194,7 @@ class Unkept(Watched):
         self.why = error
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("every", [0.0, 10.0])
 def test_a_full_disk_does_not_end_a_training_whose_watch_hears_of_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, every: float
@@ -260,6 +263,7 @@ def resealed(folder: Path, facts: dict[str, object], **tensors: torch.Tensor | N
     (folder / FILE).write_text(json.dumps(document))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("facts", "tensors"),
     [

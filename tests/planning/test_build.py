@@ -48,6 +48,7 @@ def everything(plan: Plan) -> np.ndarray:
     return np.concatenate([np.vstack([start, q]) for start, q in samples_between(plan)])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("plan_of_kind", [dwell_plan, fourier_plan])
 def test_motions_are_connected_and_steps_numbered(plan_of_kind: Any) -> None:
     plan = plan_of_kind()
@@ -161,6 +162,7 @@ def test_the_same_spec_gives_the_same_plan_in_another_process() -> None:
     assert done.stdout.strip() == plan_of().hash
 
 
+@pytest.mark.thorough
 def test_the_seed_changes_the_hash_and_the_margins_do_not() -> None:
     other = plan_of(excitation={"kind": "dwell", "waypoints": 6, "seed": 8})
     assert other.hash != plan_of().hash
@@ -325,6 +327,7 @@ def test_the_default_reference_pose_has_room_for_its_approach() -> None:
     assert plan.margins["clearance_m"] >= 0
 
 
+@pytest.mark.thorough
 def test_the_default_reference_pose_is_home_where_that_has_room() -> None:
     excitation = {"kind": "fourier", "trajectories": 1}
     station, spec = ur5(), spec_of(excitation=excitation, reference={"every": 1})

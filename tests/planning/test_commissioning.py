@@ -196,6 +196,7 @@ def test_a_slow_run_has_no_warm_up_and_is_otherwise_the_whole_program():
     assert {step.load for step in plan} == {0, 1}
 
 
+@pytest.mark.thorough
 def test_a_short_run_has_neither_warm_up_nor_reference_nor_payload_check():
     plan = built(Commissioning(first=2), **MEASURED_WELL)
     assert kinds(plan) == {"payload", "move", "dwell"}

@@ -40,6 +40,7 @@ def test_the_margin_to_the_workspace_is_the_least_over_every_set_point() -> None
     assert plan.margins["workspace_m"] == pytest.approx(1.0 + min(flange_heights(plan)), abs=1e-6)
 
 
+@pytest.mark.thorough
 def test_a_plan_without_a_workspace_has_no_margin_to_it() -> None:
     assert "workspace_m" not in usual_plan().margins
 
@@ -81,6 +82,7 @@ def test_the_preview_shows_what_will_watch_and_what_will_not() -> None:
     assert "virtual clock" in watching["recorder"]["why"]
 
 
+@pytest.mark.thorough
 def test_an_interlock_that_cannot_be_judged_is_refused_with_the_preview() -> None:
     with pytest.raises((PlanError, SpecError), match="2 limits for 6 joints"):
         preview_experiment(experiment(interlocks=[{"kind": "current", "limit_a": [1, 2]}]))

@@ -37,6 +37,7 @@ def positions(plan: Plan, load: int) -> np.ndarray:
     return np.array([step.motion.q_end for step in weighings(plan, load) if step.motion])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("load", range(3))
 def test_every_load_is_weighed_after_it_is_mounted_and_before_anything_else(load: int) -> None:
     kinds = [step.kind for step in plan() if step.load == load]
@@ -83,6 +84,7 @@ def test_motions_stay_connected() -> None:
         np.testing.assert_allclose(start, q[-1], atol=1e-9)
 
 
+@pytest.mark.thorough
 def test_weighing_takes_less_than_half_a_minute_per_load() -> None:
     bare = sweep({}, CYLINDER, HEAVY, warm_up={"duration_s": 5}, weigh=False)
     assert not any(step.kind == "weigh" for step in bare)
@@ -119,6 +121,7 @@ def test_the_poses_tell_mass_and_centre_of_mass() -> None:
     assert np.linalg.svd(wrist, compute_uv=False).min() > 0.5  # N·m per 0.1 kg·m
 
 
+@pytest.mark.thorough
 def test_the_heaviest_load_can_be_held_at_every_pose() -> None:
     heavy = sweep({}, {"mass_kg": 5, "com_m": [0.1, 0, 0.3], "size_m": [0.4, 0.1]})
     model = RobotModel.from_arm("ur5").with_payload(heavy.loads[1].payload)

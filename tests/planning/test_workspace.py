@@ -188,6 +188,7 @@ def test_dwell_poses_that_cannot_be_reached_name_the_side() -> None:
     assert re.search(r"mm (beyond|inside) z of (min|max)_m \(interlocks.0\)", error.message)
 
 
+@pytest.mark.thorough
 def test_trajectories_without_room_name_the_side() -> None:
     error = refusal(
         excitation=FOURIER | {"range_deg": [[-90, 90]] * 6, "fundamental_hz": 0.02},

@@ -175,6 +175,7 @@ def test_damaged_event_log(data: st.DataObject) -> None:
         assert_viewable(root, run)
 
 
+@pytest.mark.thorough
 @examples(12)
 @given(data=st.data())
 def test_damaged_spec_or_station_of_a_run(data: st.DataObject) -> None:
@@ -187,6 +188,7 @@ def test_damaged_spec_or_station_of_a_run(data: st.DataObject) -> None:
         assert_viewable(root, quick_run(root, {name: text}))
 
 
+@pytest.mark.thorough
 @examples(12)
 @given(data=st.data())
 def test_damaged_recording(data: st.DataObject) -> None:
@@ -256,6 +258,7 @@ def test_report_of_a_damaged_run(data: st.DataObject) -> None:
         assert refusal_of(lambda: render_report(run)) != ""
 
 
+@pytest.mark.thorough
 @examples(6)
 @given(data=st.data())
 def test_command_line_on_a_damaged_run(data: st.DataObject) -> None:

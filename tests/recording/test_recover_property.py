@@ -139,6 +139,7 @@ def test_flipped_bits_in_a_whole_file_give_every_row_or_a_refusal(
     assert salvaged is None or is_part_of(salvaged, rows)
 
 
+@pytest.mark.thorough
 @examples(120)
 @given(where=flips, cut=st.floats(0.3, 1))
 def test_flipped_bits_in_a_torn_file_are_recovered_as_true_rows_or_refused(

@@ -174,6 +174,7 @@ def test_a_process_killed_before_its_run_has_begun_leaves_nothing_that_is_listed
     assert hidden(tmp_path) == []
 
 
+@pytest.mark.thorough
 def test_a_run_that_begins_while_another_process_cleans_keeps_its_draft(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

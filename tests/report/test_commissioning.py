@@ -27,6 +27,7 @@ def commissioned(tmp_path, outcome="completed", station="/lab/my.yaml", **part):
 AT = "hil run /lab/dwell.yaml --station /lab/my.yaml"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("outcome", "part", "command"),
     [

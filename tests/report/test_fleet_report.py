@@ -97,6 +97,7 @@ def test_what_has_no_model_is_told_and_not_compared(survey: Survey) -> None:
     json.dumps(told.to_dict(), default=str)
 
 
+@pytest.mark.thorough
 def test_who_is_not_compared_is_named(survey: Survey) -> None:
     age = np.array([one.age for one in survey.robots])
     age[2] = np.nan

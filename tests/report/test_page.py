@@ -358,6 +358,7 @@ def test_a_model_that_cannot_be_loaded_leaves_its_numbers_on_the_page(fourier, t
     assert table_of(page, "errors per joint")
 
 
+@pytest.mark.thorough
 def test_models_stand_in_the_order_of_the_spec_and_the_best_is_named_and_open(fourier, tmp_path):
     copy = shutil.copytree(fourier.path, tmp_path / "copy")
     folder = next(copy.glob("fit/*"))
@@ -427,6 +428,7 @@ def test_drift_is_seen_apart_from_friction_that_has_the_sign_of_the_approach(tmp
     np.testing.assert_allclose(drifts, expected, atol=1e-6)
 
 
+@pytest.mark.thorough
 def test_the_page_is_a_function_of_the_directory_alone(dwells, monkeypatch):
     first = render_report(dwells.path).read_bytes()
     monkeypatch.chdir(dwells.path)
@@ -465,6 +467,7 @@ def test_a_run_of_a_newer_hil_is_refused_and_gets_no_page(tmp_path):
     assert not (run.path / "report.html").exists()
 
 
+@pytest.mark.thorough
 def test_a_model_judged_outside_a_run_gets_the_same_page(fourier, tmp_path):
     found = hil.fit([fourier.path], estimator="rigid-wls", validate=[], out=tmp_path / "models")
     folder = found.fitted.folder

@@ -49,6 +49,7 @@ def streams_of(pdf: bytes) -> bytes:
     return b"".join(zlib.decompress(each) for each in found if each[:1] == b"\x78")
 
 
+@pytest.mark.thorough
 def test_every_figure_and_table_becomes_files_named_by_its_key(run: Path, tmp_path: Path) -> None:
     written = hil.figures(run, tmp_path / "out", formats=("pdf", "png", "svg"))
     names = {"table-2.csv", "table-2.tex", "contents.md"}
@@ -84,6 +85,7 @@ def test_equal_figures_are_equal_files(format_: str) -> None:
     assert drawn(bars(), format_) == drawn(bars(), format_)
 
 
+@pytest.mark.thorough
 def test_a_long_line_is_thinned_and_keeps_its_extremes() -> None:
     x = np.arange(100_000.0)
     y = np.where(x == 77_777, 9.0, 0.0)

@@ -72,6 +72,7 @@ def colours(panel: Panel) -> dict[str, tuple[str, str]]:
     return {name: (look.colour, look.pattern) for name, look in drawn if look}
 
 
+@pytest.mark.thorough
 def test_models_stand_in_the_order_of_the_spec_everywhere(run: Path) -> None:
     page = run_page(run)
     assert [s.title for s in page.sections if s.id.startswith("model-")] == [

@@ -327,6 +327,7 @@ def test_a_fault_that_is_told_is_what_is_asked_for() -> None:
     a_fault_surfaces_in_the_next_read(FaultsIn(), Bench(fault=strike))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("seen", "told"),
     [(lambda asked: asked + 0.2, "on the wire after 200 ms"), (lambda asked: None, "no stop came")],
@@ -382,6 +383,7 @@ def test_a_check_can_be_left_out() -> None:
     assert "the_payload_is_read_back" not in done
 
 
+@pytest.mark.thorough
 def test_the_checks_need_no_pytest() -> None:
     code = "import sys, hil.testing.driver_conformance; assert 'pytest' not in sys.modules"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0

@@ -73,12 +73,14 @@ def program(robot: Robot) -> list[bytes]:
     return [block.tobytes() for block in told]
 
 
+@pytest.mark.thorough
 def test_the_mock_says_the_same_bytes_from_its_own_process() -> None:
     here = MockRobot("bench", "ur5", seed=4)
     there = RobotProcess("mock", "bench", "ur5", {"seed": 4})
     assert program(here) == program(there)
 
 
+@pytest.mark.thorough
 def test_names_limits_and_payload_cross_unchanged() -> None:
     station = {"driver": "mock", "model": "ur10e", "gravity_m_s2": (0.0, 0.0, 9.81)}
     with (

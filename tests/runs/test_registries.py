@@ -61,6 +61,7 @@ def test_a_registry_is_noted_where_the_runs_of_its_models_are(runs: Path, regist
     assert (runs / FILE).read_text() == json.dumps(str(registry)) + "\n"
 
 
+@pytest.mark.thorough
 def test_runs_that_are_only_named_count_too(runs: Path, tmp_path: Path) -> None:
     model = tmp_path / "models" / "rigid-wls-0"
     estimator("rigid-wls").fit(moving(1, 2, 3), nominal()).save(model)

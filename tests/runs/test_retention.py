@@ -272,6 +272,7 @@ def _bad_probe(models: Path) -> None:
     (models / "ur5" / "probes.jsonl").write_text("{}\n")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "spoil", [_missing, _damaged, _torn_log, _lost_version, _lost_one_of_two, _bad_probe]
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
@@ -112,6 +113,7 @@ def test_shipped_experiments_with_any_value_replaced(
     assert_spec_or_refusal(yaml.safe_dump(raw, allow_unicode=True))
 
 
+@pytest.mark.thorough
 @bounded
 @given(plain, st.data())
 def test_stations_with_any_value_replaced(

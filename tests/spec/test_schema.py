@@ -116,6 +116,7 @@ def _scalar_faults(value: Any, schema: dict[str, Any], at: str) -> list[str]:
     return [] if inside else [f"{at}: out of range"]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("path", SPECS, ids=lambda path: path.name)
 def test_every_shipped_experiment_fits_the_schema(path: Path) -> None:
     schema = schema_of("experiment")

@@ -72,6 +72,7 @@ def test_both_protocols_stand_side_by_side_and_are_labelled() -> None:
     assert labels == ["paper: samples split at random within trajectories", "honest"]
 
 
+@pytest.mark.thorough
 def test_the_page_about_studies_lists_the_tables_and_figures_there_are() -> None:
     section = PAGE.read_text("utf-8").split("### What a comparison shows")[1].split("\n## ")[0]
     rows = re.findall(r"^\| `((?:table|fig)-.+?) \|", section, re.MULTILINE)
@@ -187,6 +188,7 @@ def test_a_reason_is_told_once_with_every_row_and_protocol(monkeypatch: pytest.M
     )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("fails", "told"),
     [("fit", "failed"), ("fit_on", "without rc-motion, which failed"), ("restore", "")],
@@ -261,6 +263,7 @@ def test_the_printed_table_adds_up_once_the_stray_zeros_are_out() -> None:
         assert np.mean(row) == pytest.approx(PRINTED_AVERAGES[key], abs=0.006)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("key", [key for key in ROW_KEYS if ROWS[key].learns])
 def test_networks_are_trained_as_long_as_usual_unless_told(key: str) -> None:
     usual = estimator(ROWS[key].estimator, **ROWS[key].params).get_params()

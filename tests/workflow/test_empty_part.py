@@ -25,6 +25,7 @@ def with_empty_parts(run: RunDirectory, *parts: tuple[int, int], rate_hz: float 
         McapWriter(run.part_path(*part), [topic]).abandon()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("recovered", [False, True])
 def test_rows_beside_an_empty_part_are_loaded_and_reported(tmp_path: Path, recovered: bool) -> None:
     run = write_run(tmp_path, dwell_plan(poses=4), outcome=None, finish=False)

@@ -69,6 +69,7 @@ def test_a_disk_that_fills_up_in_motion_ends_as_failed_and_keeps_what_there_was(
     assert not (report.run / RESERVE).exists()
 
 
+@pytest.mark.thorough
 def test_a_disk_without_room_for_the_reserve_fails_preflight_before_there_is_a_run(
     tmp_path: Path, small_disk: Path
 ) -> None:

@@ -127,6 +127,7 @@ def edited_verdict(run: Path, **values: object) -> None:
     (run / "verdict.json").write_text(json.dumps(verdict | values))
 
 
+@pytest.mark.thorough
 def test_a_rejected_run_is_rejected_when_only_its_report_is_written(run: Path) -> None:
     edited_verdict(run, passed=False)
     remove(run, "report.html")

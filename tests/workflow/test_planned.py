@@ -85,6 +85,7 @@ def test_one_that_somebody_drives_is_planned_for_and_not_disturbed(experiment, n
             hil.plan(experiment, connect=True)
 
 
+@pytest.mark.thorough
 def test_a_robot_on_a_virtual_clock_is_planned_from_where_it_stands():
     experiment = hil.load(SPEC)
     assert hil.plan(experiment).hash == hil.plan(experiment, connect=True).hash

@@ -102,6 +102,7 @@ def test_every_motion_begins_where_the_last_one_ended(
             at = step.motion.q_end
 
 
+@pytest.mark.thorough
 @given(plans_partly_done())
 def test_every_measurement_is_under_its_own_load_weighed_after_it_was_declared(
     case: tuple[Plan, set[int]],

@@ -257,6 +257,7 @@ def test_loads_of_one_mass_and_different_centres_are_not_weighed_and_that_is_sai
     assert Scales(sweep(CYLINDER, CYLINDER)).events == []
 
 
+@pytest.mark.thorough
 def test_a_single_load_is_not_worth_a_word() -> None:
     assert Scales(sweep(CYLINDER)).events == []
 

@@ -121,6 +121,7 @@ def test_a_study_made_again_replaces_its_result_and_the_checksums_still_hold(
     assert RunDirectory.open(done.run).verify() == []
 
 
+@pytest.mark.thorough
 def test_other_parameters_stand_beside_it(tmp_path: Path) -> None:
     path = recorded(tmp_path, "{study: counted, rounds: 2}")
     hil.study(path)
@@ -129,6 +130,7 @@ def test_other_parameters_stand_beside_it(tmp_path: Path) -> None:
     assert len(study_files(path)) == 2
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("ending", "told"),
     [

@@ -133,6 +133,7 @@ def test_a_failing_fit_loses_no_other_model_and_says_why(tmp_path: Path) -> None
     assert len(list(run.path.glob("fit/static-wls-*/evaluation.json"))) == 1
 
 
+@pytest.mark.thorough
 def test_a_run_that_lacks_a_model_does_not_pass_but_may_be_rejected(tmp_path: Path) -> None:
     for accept, word in ((LOOSE, "not judged"), ("{rmse: {max: 1e-6, unit: A}}", "rejected")):
         run = run_with(tmp_path, "unlucky static-wls", accept)
@@ -141,6 +142,7 @@ def test_a_run_that_lacks_a_model_does_not_pass_but_may_be_rejected(tmp_path: Pa
         assert words(run) == (word, "not judged", word)
 
 
+@pytest.mark.thorough
 def test_page_and_terminal_say_which_model_is_missing_and_why(tmp_path: Path) -> None:
     run = run_with(tmp_path, "unlucky static-wls")
     with pytest.raises(FitError):

@@ -110,6 +110,7 @@ def test_run_names_the_axis_that_does_not_answer(
         station.core.run()
 
 
+@pytest.mark.thorough
 def test_enabling_that_takes_too_long_is_a_time_out_with_axis_and_state(station: Station) -> None:
     station.drives.drives[2].stuck_at = READY
     station.core.open()

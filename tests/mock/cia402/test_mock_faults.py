@@ -125,6 +125,7 @@ def test_an_axis_that_the_arm_lacks_is_refused(anew: tuple[HostedMock, Master]) 
 # Drives
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("fault", "code"),
     [
@@ -269,6 +270,7 @@ def test_a_tpdo_is_too_short_once(enabled: tuple[HostedMock, Master, list[int]])
     assert [m.dlc for m in master.frames if m.arbitration_id == 0x182] == [4, 7]
 
 
+@pytest.mark.thorough
 def test_a_drive_that_is_off_the_bus_stops_by_itself(
     enabled: tuple[HostedMock, Master, list[int]],
 ) -> None:

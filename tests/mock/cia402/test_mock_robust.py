@@ -129,6 +129,7 @@ def test_a_side_channel_in_use_is_not_taken_over(drives: Mock, tmp_path: Path) -
     SideChannel(tmp_path / "a.side", requests).close()
 
 
+@pytest.mark.thorough
 def test_a_client_of_the_side_channel_that_does_not_read_holds_up_nobody(
     drives: Mock, tmp_path: Path
 ) -> None:

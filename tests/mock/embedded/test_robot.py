@@ -135,6 +135,7 @@ BAD = {
 }  # fmt: skip
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("reason", BAD)
 def test_refuses_segments_it_must_not_run(robot, reason):
     with pytest.raises(CommandRefused, match=reason):
@@ -315,6 +316,7 @@ def in_a_fresh_process(code):
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
 
 
+@pytest.mark.thorough
 def test_mujoco_and_numba_load_on_connect_only():
     code = (
         "import sys, hil.arms, hil.robot; from hil_mock_robot.embedded.robot import MockRobot;"
@@ -323,6 +325,7 @@ def test_mujoco_and_numba_load_on_connect_only():
     assert in_a_fresh_process(code).stdout.strip() == "[]"
 
 
+@pytest.mark.thorough
 def test_missing_libraries_are_a_plugin_error_that_says_what_to_install():
     code = (
         "import importlib.util as u; find = u.find_spec;"

@@ -93,6 +93,7 @@ def test_standstill_current_remembers_the_approach_direction():
     assert np.abs(np.concatenate(list(stuck.values()))).max() < 1.8
 
 
+@pytest.mark.thorough
 def test_stuck_friction_is_spread_and_not_always_saturated():
     truth = draw_truth("ur5", 6)
     rng = np.random.default_rng(1)
@@ -176,6 +177,7 @@ def test_wrongly_declared_payload_still_weighs_what_is_mounted():
     assert currents[0] == pytest.approx(currents[1], abs=0.05)
 
 
+@pytest.mark.thorough
 def test_joints_warm_up_by_working_and_settle_20_k_above_the_room():
     truth = draw_truth("ur5", 2)
     fast = tuple(replace(j, thermal=replace(j.thermal, tau_s=20.0)) for j in truth.joints)

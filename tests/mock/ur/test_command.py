@@ -116,6 +116,7 @@ def test_words_that_are_none_are_refused(words):
         TELL.request(words[0], words[1:])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("stop", "safety", "way"),
     [

@@ -439,6 +439,7 @@ def test_torques_on_the_joints_are_those_of_a_push():
     np.testing.assert_allclose(client.out() - before, -push, atol=0.05 * gains.max() + 0.3)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("command", [25, 26, 27, 28, 54, 67, 68, 69, 70, 71])
 def test_what_the_script_for_cb3_lacks_leaves_the_registers_alone(command):
     client = Client("ur5")

@@ -58,6 +58,7 @@ def test_a_client_is_greeted(cb3):
     assert cb3.greeting == "Connected: Universal Robots Dashboard Server\n"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("arm", "line", "reply"),
     [

@@ -347,6 +347,7 @@ def test_stopping_motions_are_not_counted():
     assert not machine.modes.running
 
 
+@pytest.mark.thorough
 def test_a_joint_that_grows_warm_is_told_once_and_a_hot_one_stops_the_arm_again_until_it_cools():
     machine, told = machine_of(), []
     machine.listeners.append(told.append)

@@ -27,6 +27,7 @@ def test_it_carries_what_really_hangs_there_whatever_is_declared():
     assert machine.outputs["ft_raw_wrench"] == pytest.approx(carried, abs=0.05)
 
 
+@pytest.mark.thorough
 def test_it_feels_pushes_in_its_own_axes():
     machine = machine_of("ur5e")
     machine.move(movej(BENT, 2.0, 10.0, machine.tick_s))

@@ -190,6 +190,7 @@ def answers(wire):
     return [json.loads(line) for line in wire.take().splitlines()]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "line",
     [

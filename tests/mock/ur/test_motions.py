@@ -115,6 +115,7 @@ class TestMoveJ:
         assert path[-1, 0] == pytest.approx(goal, abs=1e-12)
         assert at_rest(path[-1])
 
+    @pytest.mark.thorough
     @given(goal=GOALS, sliders=SLIDERS)
     @settings(max_examples=20, deadline=None)
     def test_all_joints_are_as_far_on_their_ways_at_any_moment(self, goal, sliders):
@@ -185,6 +186,7 @@ class TestMoveJ:
 
 
 class TestMoveL:
+    @pytest.mark.thorough
     @given(step=STEPS, v=st.floats(0.1, 0.4), a=st.floats(0.5, 2.0), sliders=SLIDERS, tick=RATES)
     @settings(max_examples=15, deadline=None)
     def test_the_tool_stays_on_its_line_and_keeps_speed_and_acceleration(
@@ -268,6 +270,7 @@ def nearest_to(poses, waypoint):
 
 
 class TestPaths:
+    @pytest.mark.thorough
     @pytest.mark.parametrize("legs", [joint_legs(0.0), tool_legs(0.0), tool_legs(0.0, "p")])
     def test_without_a_radius_it_stops_at_every_waypoint(self, legs):
         path, _ = path_of(legs)
@@ -348,6 +351,7 @@ class TestPaths:
     def test_an_empty_path_is_over(self):
         assert len(path_of([])[0]) == 1
 
+    @pytest.mark.thorough
     def test_hundreds_of_waypoints_are_blended_in_one_plan(self):
         random = np.random.default_rng(5)
         legs = [
@@ -406,6 +410,7 @@ class TestServoJ:
         assert at_rest(path[-1])
         assert (len(path) - streamed) * CB3 < 1.0
 
+    @pytest.mark.thorough
     @given(
         goal=GOALS,
         lookahead=st.floats(0.03, 0.2),

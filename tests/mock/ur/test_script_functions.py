@@ -219,6 +219,7 @@ def test_movec_keeps_to_the_circle_at_its_speed(mode):
     assert machine.now_s - began == pytest.approx(lasts + 0.1 / 1.2, abs=0.15)
 
 
+@pytest.mark.thorough
 def test_movec_on_a_straight_line_is_one():
     station = Station("ur5e")
     station.run(f"movej({bracketed(HOME)}, a=5, v=2)\n")

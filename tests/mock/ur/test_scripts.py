@@ -511,6 +511,7 @@ def test_the_injected_path_is_read(station):
     assert second.target[5] == 1e-5
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "path",
     [
@@ -574,6 +575,7 @@ def test_no_bytes_crash_the_inbox(data):
     ScriptInbox(ONE).feed(data + b"\n")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("arm", ["ur5", "ur5e"])
 def test_a_program_answers_inputs_by_outputs_tick_by_tick(arm):
     """`rtde_roundtrip` of UR's client library: bit inverted, integer plus one, double negated."""

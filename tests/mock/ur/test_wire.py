@@ -85,6 +85,7 @@ kinds = st.sampled_from(list(Kind))
 # Framing
 
 
+@pytest.mark.thorough
 @examples(200)
 @given(
     st.lists(st.tuples(kinds, st.binary(max_size=300)), max_size=12),
@@ -142,6 +143,7 @@ def filled(draw):
     return values, draw(st.permutations(sorted(values.variables)))
 
 
+@pytest.mark.thorough
 @examples(200)
 @given(filled(), st.sampled_from([None, 1, 255]))
 def test_what_an_output_recipe_packs_an_input_recipe_unpacks(content, number):
@@ -246,11 +248,13 @@ def test_nothing_starts_without_outputs(client):
     assert client.answers() == []
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("frequency", [0.0, -1.0, 5e-324, 1e-4, math.nan, math.inf])
 def test_a_frequency_that_cannot_be_is_refused(client, frequency):
     assert client.outputs("timestamp", frequency) == b"\x00DOUBLE"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("arm", "frequency", "every"),
     [("ur5", 125.0, 1), ("ur5", 500.0, 1), ("ur5", 10.0, 12), ("ur5e", 125.0, 4), ("ur5e", 30, 17)],
@@ -482,6 +486,7 @@ def test_analog_outputs_are_currents_or_voltages_and_what_is_not_chosen_is_left_
     assert (out["standard_analog_output0"], out["standard_analog_output1"]) == (20.0, 5.0)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("mask", "fraction", "slider"),
     [(1, 0.3, 0.3), (0, 0.3, 1.0), (1, 7.0, 1.0), (1, -1.0, 0.0), (1, math.nan, 1.0)],
