@@ -31,7 +31,7 @@ from hil.dashboard.limits import LimitedProtocol, Limits
 from hil.dashboard.server import create_app
 from hil.dashboard.settings import Settings
 from hil.recording.run_directory import RunDirectory
-from tests.support.live_run import until
+from tests.support.waiting import until
 
 HERE = "http://127.0.0.1:8350"
 TOKEN = "correct horse battery staple"

@@ -17,8 +17,8 @@ from hil.models.model_registry import facts_of
 from hil.recording.run_directory import RunDirectory
 from tests.support.browser.bench import SMALL, STATION, opened, serving
 from tests.support.browser.looking import contrasts_below, enter, problems_of, tab_to, until
-from tests.support.live_run import until as wait
 from tests.support.paths import EXPERIMENTS
+from tests.support.waiting import until as wait
 
 pytestmark = [pytest.mark.wire, pytest.mark.timeout(240)]
 

@@ -21,7 +21,7 @@ from hil.workflow.background_runs import Started, ticks_of
 from tests.support.browser.bench import opened, served
 from tests.support.browser.looking import until
 from tests.support.live_run import live_run
-from tests.support.live_run import until as wait
+from tests.support.waiting import until as wait
 
 pytestmark = [pytest.mark.wire, pytest.mark.timeout(120)]
 

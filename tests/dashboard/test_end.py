@@ -12,7 +12,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from tests.support.live_run import until
+from tests.support.waiting import until
 
 pytestmark = pytest.mark.wire
 

@@ -16,8 +16,8 @@ from hil.dashboard.settings import Settings
 from hil.recording.events import read_events
 from hil.recording.run_directory import RunDirectory
 from hil.workflow.live_state import read_live
-from tests.support.live_run import until
 from tests.support.started_parts import PROMPT, begun
+from tests.support.waiting import until
 
 pytestmark = pytest.mark.wire
 

@@ -23,8 +23,8 @@ import pytest
 from hil.core.errors import PlanError
 from hil.dashboard import plan_preview
 from hil.workflow.background_runs import ticks_of
-from tests.support.live_run import until
 from tests.support.started_parts import written
+from tests.support.waiting import until
 from tests.support.web_parts import dashboard, failing
 
 ENDLESS = "excitation.waypoints=100000"

@@ -21,8 +21,8 @@ from hil.recording.run_directory import RunDirectory
 from hil.workflow.background_runs import Started, go_on_with, started_runs
 from hil.workflow.live_state import read_live
 from hil.workflow.remote_control import answer_run
-from tests.support.live_run import until
 from tests.support.started_parts import PROMPT, SPEC, WALL, begun
+from tests.support.waiting import until
 from tests.support.web_parts import dashboard, plain, seen
 
 PAGE = {"accept": "text/html"}

@@ -23,7 +23,7 @@ from hil.robot import Address
 from hil.workflow.background_runs import started_runs
 from hil.workflow.motion_confirmation import Granted
 from hil_mock_robot.embedded.robot import MockRobot
-from tests.support.live_run import until
+from tests.support.waiting import until
 from tests.support.web_parts import address_of_run, dashboard, plain, require_fit_for_all, seen
 from tests.workflow.test_arming import REAL_ARM
 from tests.workflow.test_confirmation import AT, ELSEWHERE, SPEC, STATION, document, jogged, stopped

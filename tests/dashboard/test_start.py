@@ -19,8 +19,8 @@ from hil.dashboard.settings import Settings
 from hil.dashboard.start_page import Idempotency
 from hil.recording.run_directory import RunDirectory
 from hil.workflow.background_runs import started_runs
-from tests.support.live_run import until
 from tests.support.started_parts import PROMPT, written
+from tests.support.waiting import until
 
 PAGE = {"accept": "text/html"}
 

@@ -16,6 +16,7 @@ from hil.planning import load
 from hil.workflow.interlocks import RunInterlocks
 from hil.workflow.preview import planned
 from tests.support.interlock_parts import NAMES, made, rows, spec_of
+from tests.support.waiting import until
 
 BLOCK = rows()
 HERE = Path
@@ -42,13 +43,6 @@ def disk() -> Iterator[Callable[..., FreeSpace]]:
     yield make
     for one in made:
         one.close()
-
-
-def eventually(condition: Callable[[], object]) -> None:
-    end = time.monotonic() + 5.0
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.002)
 
 
 def test_a_recorder_that_falls_behind_trips_and_is_clear_when_it_has_caught_up() -> None:
@@ -84,7 +78,7 @@ def test_a_disk_that_fills_up_trips_within_a_poll(disk: Any) -> None:
     interlock = disk(lambda folder: free[0])
     assert interlock.check(BLOCK) is None
     free[0] = 499 * MB
-    eventually(lambda: interlock.check(BLOCK))
+    until(lambda: interlock.check(BLOCK))
     trip = interlock.check(BLOCK)
     assert trip is not None
     assert "free space for . at 499 MB, at least 500 MB" in trip.text(NAMES)
@@ -99,7 +93,7 @@ def test_a_disk_is_clear_again_with_a_fifth_more_than_the_least(disk: Any) -> No
     interlock = disk(lambda folder: free[0], action="pause")
     assert not interlock.clear(BLOCK)
     free[0] = 601 * MB
-    eventually(lambda: interlock.clear(BLOCK))
+    until(lambda: interlock.clear(BLOCK))
 
 
 def test_a_disk_that_hangs_is_never_waited_for_and_trips_after_ten_seconds(disk: Any) -> None:
@@ -120,7 +114,7 @@ def test_a_disk_that_hangs_is_never_waited_for_and_trips_after_ten_seconds(disk:
     assert trip is not None
     assert "free space for . not measured" in trip.text(NAMES)
     hang.set()
-    eventually(lambda: interlock.check(BLOCK) is None)
+    until(lambda: interlock.check(BLOCK) is None)
 
 
 def test_a_disk_that_refuses_to_answer_trips_too(disk: Any) -> None:

@@ -22,16 +22,8 @@ from hil.recording.run_group import FleetGroup
 from hil.robot.lease import leased
 from hil.spec.load import load_station, spec_from_text
 from tests.support.catalogue_runs import write_run
-from tests.support.fleet_parts import (
-    SLOW,
-    SPEC,
-    command,
-    measurements,
-    moving,
-    told,
-    until,
-    written,
-)
+from tests.support.fleet_parts import SLOW, SPEC, command, measurements, moving, told, written
+from tests.support.waiting import until
 
 
 def invoke(*arguments: object) -> tuple[int, dict[str, Any]]:

@@ -10,7 +10,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +20,7 @@ from hil.recording import McapWriter, Recorder, read_topic
 from hil.recording.recording_files import recordings_in
 from hil.robot.state import STATE_TOPIC
 from tests.support.recorded_rows import rows_of, six_axis_topic
+from tests.support.waiting import until
 
 CHILD = """
 import mmap, os, struct, sys, time
@@ -54,13 +54,6 @@ while True:
 """
 
 
-def wait_until(condition: Callable[[], object], timeout_s: float = 5.0) -> None:
-    deadline = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.005)
-
-
 @pytest.mark.wire
 @pytest.mark.parametrize(
     ("seconds", "fsync_s", "rotate_bytes"),
@@ -74,7 +67,7 @@ def test_kill_9_loses_a_quarter_second_at_most(
     last_put.write_bytes(bytes(8))
     arguments = [str(tmp_path), str(fsync_s), str(rotate_bytes)]
     with subprocess.Popen([sys.executable, "-c", CHILD, *arguments]) as child:
-        wait_until(lambda: any(last_put.read_bytes()), timeout_s=30)
+        until(lambda: any(last_put.read_bytes()), within_s=30)
         time.sleep(seconds)
         os.kill(child.pid, signal.SIGKILL)
     parts = recordings_in(tmp_path)
@@ -101,9 +94,9 @@ def test_rows_reach_the_kernel_while_an_fsync_does_not_return(
     rows = rows_of(topic, 30)
     with Recorder(writer, flush_interval_s=0.01, fsync_interval_s=0.01) as recorder:
         recorder.put(STATE_TOPIC, rows[:10])
-        wait_until(lambda: calls)
+        until(lambda: calls)
         recorder.put(STATE_TOPIC, rows[10:])
-        wait_until(lambda: recorder.behind_s == 0.0)
+        until(lambda: recorder.behind_s == 0.0)
         assert read_topic(writer.partial_path, salvage=True).tobytes() == rows.tobytes()
         go_on.set()
 
@@ -122,7 +115,7 @@ def test_an_fsync_that_fails_reaches_put_and_close_and_every_row_is_still_writte
     rows = rows_of(topic, 30)
     recorder.put(STATE_TOPIC, rows[:10])
     with pytest.raises(RecordingError, match="Input/output error"):
-        wait_until(lambda: recorder.put(STATE_TOPIC, rows[:0]))
+        until(lambda: recorder.put(STATE_TOPIC, rows[:0]))
     with pytest.raises(RecordingError, match="Input/output error"):
         recorder.put(STATE_TOPIC, rows[10:])
     with pytest.raises(RecordingError, match="Input/output error"):

@@ -17,6 +17,7 @@ from hil.core.typing import StructArray
 from hil.recording import McapWriter, Recorder, read_info, read_topic
 from hil.robot.state import STATE_TOPIC, Topic
 from tests.support.recorded_rows import JOINTS, raw_topic, rows_of, six_axis_topic
+from tests.support.waiting import until
 
 
 class SlowDisk(McapWriter):
@@ -48,13 +49,6 @@ def slow(tmp_path: Path) -> Iterator[SlowDisk]:
     writer = SlowDisk(tmp_path / "00.mcap", [six_axis_topic(100.0)])
     yield writer
     writer.go_on.set()
-
-
-def wait_until(condition: object, timeout_s: float = 5.0) -> None:
-    deadline = time.monotonic() + timeout_s
-    while not condition():  # type: ignore[operator]
-        assert time.monotonic() < deadline
-        time.sleep(0.005)
 
 
 def test_blocks_of_several_topics_arrive_complete_and_in_order(tmp_path: Path) -> None:
@@ -133,7 +127,7 @@ def test_behind_is_how_long_the_oldest_unwritten_row_has_been_waiting(slow: Slow
     recorder.put(STATE_TOPIC, rows[10:])
     assert 0.15 <= recorder.behind_s <= time.monotonic() - put_at
     slow.go_on.set()
-    wait_until(lambda: recorder.behind_s == 0.0)
+    until(lambda: recorder.behind_s == 0.0)
     assert recorder.backlog == 0
     recorder.close()
 
@@ -144,12 +138,12 @@ def test_a_full_disk_surfaces_in_the_next_put_and_keeps_what_was_flushed(tmp_pat
     writer = FullDisk(tmp_path / "00.mcap", [topic])
     recorder = Recorder(writer, flush_interval_s=0.01)
     recorder.put(STATE_TOPIC, rows[:10])
-    wait_until(lambda: recorder.backlog == 0)
+    until(lambda: recorder.backlog == 0)
     time.sleep(0.05)
     writer.full = True
     recorder.put(STATE_TOPIC, rows[10:])
     with pytest.raises(RecordingError, match="No space left on device") as caught:
-        wait_until(lambda: recorder.put(STATE_TOPIC, rows[:0]))
+        until(lambda: recorder.put(STATE_TOPIC, rows[:0]))
     assert "free the disk" in caught.value.hint
     with pytest.raises(RecordingError, match="No space left on device"):
         recorder.close()
@@ -165,7 +159,7 @@ def test_a_recorder_that_died_of_anything_says_so(tmp_path: Path) -> None:
     writer.write_event = None  # type: ignore[method-assign, assignment]
     recorder.put_event({"t": 0.0, "kind": "state"})
     with pytest.raises(RecordingError, match="died: TypeError"):
-        wait_until(lambda: recorder.put(STATE_TOPIC, rows_of(topic, 0)))
+        until(lambda: recorder.put(STATE_TOPIC, rows_of(topic, 0)))
 
 
 def test_the_put_after_the_death_of_the_recorder_raises(tmp_path: Path) -> None:
@@ -174,7 +168,7 @@ def test_the_put_after_the_death_of_the_recorder_raises(tmp_path: Path) -> None:
     recorder = Recorder(writer, flush_interval_s=0.01)
     writer.flush = lambda durable: sys.exit("killed")  # type: ignore[method-assign]
     recorder.put(STATE_TOPIC, rows_of(topic, 1))
-    wait_until(lambda: "hil-recorder" not in {thread.name for thread in threading.enumerate()})
+    until(lambda: "hil-recorder" not in {thread.name for thread in threading.enumerate()})
     with pytest.raises(RecordingError, match="died: SystemExit"):
         recorder.put(STATE_TOPIC, rows_of(topic, 1))
     with pytest.raises(RecordingError, match="died: SystemExit"):

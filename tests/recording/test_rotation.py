@@ -22,6 +22,7 @@ from hil.recording.recorder import DiskThread
 from hil.recording.recording_files import part_name, recordings_in
 from hil.robot.state import STATE_TOPIC
 from tests.support.recorded_rows import JOINTS, raw_topic, rows_of, six_axis_topic
+from tests.support.waiting import until
 
 TOPICS = [six_axis_topic(), raw_topic()]
 PLAN = Attachment("plan.json", "application/json", b"{}")
@@ -46,20 +47,13 @@ def rotating(folder: Path, **more: object) -> Recorder:
     return Recorder(open_part(0), **options)  # type: ignore[arg-type]
 
 
-def wait_until(condition: Callable[[], object], timeout_s: float = 10.0) -> None:
-    deadline = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.002)
-
-
 def record_parts(folder: Path, rows: StructArray) -> Recorder:
     """Put all rows, slowly enough that several parts come to be."""
     with rotating(folder) as recorder:
         for begin in range(0, len(rows), 50):
             recorder.put(STATE_TOPIC, rows[begin : begin + 50])
             recorder.put_event({"t": 1.0, "kind": "progress", "row": begin})
-            wait_until(lambda: recorder.backlog == 0)
+            until(lambda: recorder.backlog == 0)
     return recorder
 
 
@@ -116,9 +110,9 @@ def test_writing_goes_on_while_the_next_part_is_slow_to_open(tmp_path: Path) -> 
     rows = rows_of(TOPICS[0], 2000)
     with rotating(tmp_path, next_part=slowly, rotate_bytes=1.0) as recorder:
         recorder.put(STATE_TOPIC, rows[:1000])
-        wait_until(lambda: recorder.backlog == 0)
+        until(lambda: recorder.backlog == 0)
         recorder.put(STATE_TOPIC, rows[1000:])
-        wait_until(lambda: recorder.backlog == 0)
+        until(lambda: recorder.backlog == 0)
         assert [path.name for path in recordings_in(tmp_path)] == ["00.mcap.partial"]
         go_on.set()
     assert read_topic(tmp_path / "00.mcap").tobytes() == rows.tobytes()
@@ -137,9 +131,9 @@ def test_writing_goes_on_while_a_part_is_slow_to_finish(
     rows = rows_of(TOPICS[0], 2000)
     with rotating(tmp_path, rotate_bytes=200_000.0) as recorder:
         recorder.put(STATE_TOPIC, rows[:1000])
-        wait_until(lambda: len(recordings_in(tmp_path)) == 2)
+        until(lambda: len(recordings_in(tmp_path)) == 2)
         recorder.put(STATE_TOPIC, rows[1000:])
-        wait_until(lambda: recorder.backlog == 0)
+        until(lambda: recorder.backlog == 0)
         names = {path.name for path in recordings_in(tmp_path)}
         assert {"00.mcap.partial", "00.001.mcap.partial"} <= names
         go_on.set()
@@ -153,7 +147,7 @@ def test_a_part_that_cannot_be_opened_stops_the_run_and_keeps_every_row(tmp_path
     recorder = rotating(tmp_path, rotate_bytes=1.0)
     recorder.put(STATE_TOPIC, rows)
     with pytest.raises(RecordingError, match="exists already"):
-        wait_until(lambda: recorder.put(STATE_TOPIC, rows[:0]))
+        until(lambda: recorder.put(STATE_TOPIC, rows[:0]))
     with pytest.raises(RecordingError, match="exists already"):
         recorder.put(STATE_TOPIC, rows[:10])  # what is put while the robot comes to rest is kept
     with pytest.raises(RecordingError, match="exists already"):
@@ -168,7 +162,7 @@ def test_a_part_that_was_opened_in_vain_is_removed(tmp_path: Path) -> None:
     writer = open_part(0)
     disk = DiskThread(writer, open_part, 0.1, problems.append)
     assert disk.part_after(writer) is None
-    wait_until(lambda: (tmp_path / "00.001.mcap.partial").exists())
+    until(lambda: (tmp_path / "00.001.mcap.partial").exists())
     disk.finish()
     assert disk.join(10)
     assert problems == []
@@ -204,7 +198,7 @@ def test_no_part_is_opened_in_vain_whenever_the_last_one_is_taken() -> None:
         threading.settrace(before)  # type: ignore[arg-type]
     for wish in range(1, 150):
         disk.part_after(first)
-        wait_until(lambda wish=wish: taken >= wish)  # type: ignore[misc]
+        until(lambda wish=wish: taken >= wish)  # type: ignore[misc]
         time.sleep(0.002)
         assert opened == list(range(1, wish + 1))
     disk.abandon()

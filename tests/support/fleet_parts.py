@@ -6,8 +6,7 @@ import json
 import os
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -58,15 +57,6 @@ def told(process: subprocess.Popen[str]) -> dict[str, Any]:
     except ValueError:
         raise AssertionError(f"exit code {process.returncode}: {out}{err}") from None
     return document
-
-
-def until(seen: Callable[[], Any], timeout_s: float = 60.0) -> Any:
-    """What is seen as soon as there is something."""
-    end = time.monotonic() + timeout_s
-    while not (found := seen()):
-        assert time.monotonic() < end, "it never happened"
-        time.sleep(0.02)
-    return found
 
 
 def moving(runs: Path, robot: str) -> int:

@@ -12,7 +12,7 @@ import select
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -37,15 +37,6 @@ def live_run(
             yield Path(process.stdout.readline().strip()), process
         finally:
             process.kill()
-
-
-def until(what: Callable[[], Any], seconds: float = 10.0) -> Any:
-    """The first true value of `what`."""
-    deadline = time.monotonic() + seconds
-    while not (value := what()):
-        assert time.monotonic() < deadline, "it has not come about"
-        time.sleep(0.02)
-    return value
 
 
 def _main(runs: Path, prompt: str, times: str) -> None:

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from hil.workflow.background_runs import Started, start_run
-from tests.support.live_run import until
+from tests.support.waiting import until
 
 PROMPT = "Remove everything from the flange"
 

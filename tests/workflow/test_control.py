@@ -13,7 +13,7 @@ import pytest
 from hil.core.errors import DataError, RecordingError
 from hil.core.lock_file import hold_run, run_holder
 from hil.workflow.remote_control import MOST_BYTES, Control, ControlRequest, drop
-from tests.support.live_run import until
+from tests.support.waiting import until
 
 
 class FakeEngine:

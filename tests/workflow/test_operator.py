@@ -35,7 +35,7 @@ from hil.workflow.operator import (
 )
 from tests.support.engine_parts import small_plan
 from tests.support.kinematic_robot import KinematicRobot
-from tests.support.live_run import until
+from tests.support.waiting import until
 
 MOUNT = "Mount the 3 kg disc"
 

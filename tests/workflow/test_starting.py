@@ -22,8 +22,8 @@ from hil.workflow import background_runs
 from hil.workflow.background_runs import Started, check_start, start_run, started_runs
 from hil.workflow.live_state import read_live
 from hil.workflow.remote_control import answer_run
-from tests.support.live_run import until
 from tests.support.started_parts import PROMPT, begun, written
+from tests.support.waiting import until
 
 pytestmark = pytest.mark.wire
 

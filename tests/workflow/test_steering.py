@@ -24,7 +24,8 @@ from hil.workflow.remote_control import (
     resume_live_run,
     stop_run,
 )
-from tests.support.live_run import live_run, until
+from tests.support.live_run import live_run
+from tests.support.waiting import until
 
 pytestmark = pytest.mark.wire
 

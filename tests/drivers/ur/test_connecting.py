@@ -22,6 +22,7 @@ from hil.testing.moves import begin, follow, move, standing_at
 from hil_drivers.ur.robot import UrRobot
 from tests.support.paths import EXPERIMENTS
 from tests.support.ur_mock import mock_ur
+from tests.support.waiting import until
 
 pytestmark = [pytest.mark.wire, pytest.mark.timeout(240)]
 
@@ -51,13 +52,6 @@ def pendant(running, *commands):
             file.write(f"{command}\n")
             file.flush()
             file.readline()
-
-
-def until(what, within_s=5.0):
-    end = time.monotonic() + within_s
-    while not what():
-        assert time.monotonic() < end
-        time.sleep(0.02)
 
 
 def until_it_faults(robot):

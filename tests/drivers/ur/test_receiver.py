@@ -16,6 +16,7 @@ from hil_drivers.ur.rtde import Cutter, Layout, Receiver
 from tests.support import rtde_peer as peer
 from tests.support.fuzzing import examples
 from tests.support.rtde_peer import Conversation, Peer
+from tests.support.waiting import until
 
 NAMES = ("timestamp", "actual_q", "robot_mode", "flag")
 TYPES = ("DOUBLE", "VECTOR6D", "INT32", "UINT8")
@@ -189,7 +190,7 @@ def test_text_messages_during_the_handshake_are_kept_and_confuse_nothing():
     with Peer(script) as robot, Receiver("127.0.0.1", port=robot.port) as receiver:
         assert receiver.version == peer.CB3
         assert take(receiver, 1)["timestamp"].tolist() == [1.0]
-        wait_for(lambda: len(receiver.messages) == 5)
+        until(lambda: len(receiver.messages) == 5)
         assert [m.text for m in receiver.messages][::4] == ["before V", "later"]
 
 
@@ -340,7 +341,7 @@ def test_rows_nobody_takes_wait_in_order_and_too_many_are_an_error_not_a_loss(mo
         Peer(script) as robot,
         Receiver("127.0.0.1", port=robot.port, capacity_s=4.0) as receiver,
     ):
-        wait_for(lambda: not receiver.alive)
+        until(lambda: not receiver.alive)
         rows = receiver.take(1.0)
         assert np.array_equal(rows["timestamp"], np.arange(len(rows)) / 125)
         assert 500 <= len(rows) == receiver.counts.packages
@@ -363,7 +364,7 @@ def test_a_forgiving_queue_lets_go_of_the_oldest_rows_and_goes_on(monkeypatch):
         Receiver("127.0.0.1", port=robot.port, capacity_s=4.0) as receiver,
     ):
         receiver.keep(None, forgiving=True)
-        wait_for(lambda: receiver.newest is not None and receiver.newest["timestamp"] == 5999 / 125)
+        until(lambda: receiver.newest is not None and receiver.newest["timestamp"] == 5999 / 125)
         rows = receiver.take(1.0)
         assert rows["timestamp"][-1] == 5999 / 125
         assert 250 <= len(rows) < 6000
@@ -381,9 +382,9 @@ def test_a_state_that_is_repeated_is_no_news_and_in_the_end_a_lost_connection():
 
     with Peer(script) as robot, Receiver("127.0.0.1", port=robot.port, silence_s=1.0) as receiver:
         take(receiver, 2)
-        wait_for(lambda: receiver.age_s > 0.3)
+        until(lambda: receiver.age_s > 0.3)
         assert len(receiver.take(1.0))
-        wait_for(lambda: not receiver.alive)
+        until(lambda: not receiver.alive)
         receiver.take(1.0)
         with pytest.raises(RobotConnectionError, match=r"its clock standing still, for 1\.\d s"):
             receiver.take(1.0)
@@ -462,10 +463,3 @@ def refuse(robot: Peer, says: str, *, step_s: float = 2.0, frequency_hz: float |
         receiver.open()
     assert not receiver.alive
     receiver.close()
-
-
-def wait_for(condition, seconds: float = 5.0) -> None:
-    until = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < until
-        time.sleep(0.01)

@@ -17,6 +17,7 @@ from hil_mock_robot.embedded.robot import MockRobot
 from hil_mock_robot.server.journal import read_journal
 from tests.support.in_time import InTime, measured_again
 from tests.support.mock_motions import ASIDE, UPRIGHT, move, play
+from tests.support.waiting import until
 
 pytestmark = pytest.mark.wire
 
@@ -56,13 +57,6 @@ def begin(mock, **kwargs):
 
 def events(mock, *kinds):
     return [line for line in read_journal(mock.journal) if line["event"] in kinds]
-
-
-def wait_for(condition, within_s=5.0):
-    end = time.monotonic() + within_s
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.005)
 
 
 def reading_to_the_end(mock, timeout_s):
@@ -167,7 +161,7 @@ def test_the_time_to_rest_is_measured_by_both_clocks(make):
     begin(mock)
     rows_for(mock, 0.4)
     mock.stop()
-    wait_for(lambda: events(mock, "rest"))
+    until(lambda: events(mock, "rest"))
     stop, rest = events(mock, "stop", "rest")
     assert stop["speed_rad_s"] > 0.5
     assert 0.05 < rest["device_s"] < 0.5
@@ -181,7 +175,7 @@ def test_silence_is_a_time_out_and_the_watchdog_stops_the_arm(make):
     rows_for(mock, 0.25)
     with pytest.raises(RobotTimeout):
         rows_for(mock, 2.0, timeout_s=0.15)
-    wait_for(lambda: events(mock, "rest"))
+    until(lambda: events(mock, "rest"))
     _, watchdog = events(mock, "fault")
     (rest,) = events(mock, "rest")
     assert watchdog["kind"] == rest["after"] == "watchdog"
@@ -203,7 +197,7 @@ def test_a_time_out_comes_after_the_time_it_was_given(make):
 def test_a_moving_arm_that_nobody_reads_is_stopped_and_says_so_afterwards(make):
     mock = make(watchdog_s=0.2)
     begin(mock)
-    wait_for(lambda: events(mock, "rest"))
+    until(lambda: events(mock, "rest"))
     assert mock.read()["fault_code"][-1] == 6
     with pytest.raises(RobotFault, match="watchdog"):
         mock.read()
@@ -230,7 +224,7 @@ def test_a_cut_line_leaves_the_arm_to_its_watchdog(make):
         rows_for(mock, 2.0)
     with pytest.raises(RobotConnectionError, match="cut"):
         mock.stop()
-    wait_for(lambda: events(mock, "rest"))
+    until(lambda: events(mock, "rest"))
     stop, rest = events(mock, "stop", "rest")
     assert "cut" in stop["refused"]
     assert rest["after"] == "watchdog"
@@ -241,7 +235,7 @@ def test_a_protective_stop_is_told_raised_and_comes_to_rest(make):
     begin(mock)
     with pytest.raises(RobotFault, match="protective stop"):
         rows_for(mock, 2.0)
-    wait_for(lambda: events(mock, "rest"))
+    until(lambda: events(mock, "rest"))
     mock.connect()
     mock.stop()
     assert rows_for(mock, 0.1)["status"][-1] == Status.HOLDING
@@ -294,7 +288,7 @@ def test_a_signal_handler_may_stop_the_robot_its_own_thread_is_reading(make):
         sending.join()
         signal.signal(signal.SIGUSR1, before)
     assert events(mock, "stop")[0]["speed_rad_s"] > 0.5
-    wait_for(lambda: events(mock, "rest"))
+    until(lambda: events(mock, "rest"))
 
 
 def test_keeps_the_contract_of_the_robot_protocol():
@@ -349,7 +343,7 @@ def test_a_forgotten_robot_ends_its_thread(make):
     mock.connect()
     assert len(threads()) == 1
     del mock
-    wait_for(lambda: not threads())
+    until(lambda: not threads())
 
 
 def test_a_forgotten_robot_does_not_keep_the_interpreter_alive():

@@ -12,6 +12,7 @@ import pytest
 
 from tests.support.paths import FILES
 from tests.support.ur_raw import mock
+from tests.support.waiting import until
 
 dashboard_client = pytest.importorskip(
     "dashboard_client", reason="ur-rtde has no wheel for this Python"
@@ -30,14 +31,6 @@ def desk(where):
         yield client
     finally:
         client.disconnect()
-
-
-def until(what, timeout_s=30.0):
-    """Wait for something that takes device time."""
-    deadline = time.monotonic() + timeout_s
-    while not (done := what()) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    return done
 
 
 def unlocked(client):

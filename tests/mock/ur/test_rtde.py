@@ -13,6 +13,7 @@ import pytest
 
 from tests.support.paths import FILES
 from tests.support.ur_raw import Raw, address, mock, started
+from tests.support.waiting import until
 
 rtde_receive = pytest.importorskip("rtde_receive")
 rtde_io = pytest.importorskip("rtde_io")
@@ -90,15 +91,6 @@ def writing(where):
         yield io
     finally:
         io.disconnect()
-
-
-def until(what, limit_s=5.0):
-    """The first true answer; fails when none comes."""
-    give_up = time.monotonic() + limit_s
-    while not (answer := what()):
-        assert time.monotonic() < give_up
-        time.sleep(0.005)
-    return answer
 
 
 def snapshot(receive, getters):

@@ -14,6 +14,7 @@ import rtde_control
 
 from tests.support.ur_mock import loopback, mock_ur
 from tests.support.ur_raw import Raw
+from tests.support.waiting import until
 
 pytestmark = pytest.mark.wire
 
@@ -44,14 +45,6 @@ def controlled(where):
 def read_on(raw):
     while True:
         raw.read()
-
-
-def until(what, limit_s=10.0):
-    give_up = time.monotonic() + limit_s
-    while not (answer := what()):
-        assert time.monotonic() < give_up
-        time.sleep(0.01)
-    return answer
 
 
 def events(mock, *kinds):
