@@ -89,6 +89,23 @@ def test_what_a_dying_worker_computed_is_computed_again(local: Any, tmp_path: Pa
         assert run_tasks(tasks, 1, "dying", silent, executor) == [42, 0, 2]
 
 
+def test_arguments_are_sent_again_when_a_worker_dies_on_receiving_them(
+    local: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with cluster(local.scheduler_address) as executor:
+        assert isinstance(executor, DaskCluster)
+        scatter, broken = executor._client.scatter, [OSError("Stream is closed")]
+
+        def breaks_once(*args: Any, **kwargs: Any) -> Any:
+            if broken:
+                raise broken.pop()
+            return scatter(*args, **kwargs)
+
+        monkeypatch.setattr(executor._client, "scatter", breaks_once)
+        assert run_tasks(numbers(3), 1, "doubling", silent, executor) == [0, 2, 4]
+        assert broken == []
+
+
 def test_the_cluster_outlives_whoever_used_it(local: Any) -> None:
     for _ in range(2):
         with cluster(local.scheduler_address) as executor:

@@ -111,7 +111,9 @@ def try_out(python: str, extra: str, wheel: Path, folder: Path) -> Cell:
 
 
 def _run(command: list[str], cwd: Path | None = None) -> str:
-    done = subprocess.run(command, capture_output=True, text=True, cwd=cwd or ROOT.parent)
+    # Tests name the checkout in PYTHONPATH: with it, its modules would stand in for the wheel's.
+    env = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    done = subprocess.run(command, capture_output=True, text=True, cwd=cwd or ROOT.parent, env=env)
     if done.returncode:
         raise RuntimeError(f"{' '.join(command)}\n{done.stdout[-3000:]}{done.stderr[-3000:]}")
     return done.stdout

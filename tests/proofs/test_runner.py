@@ -59,7 +59,9 @@ def test_what_has_passed_is_stale_only_when_an_input_changes(checkout: Path) -> 
 def test_a_proof_whose_tests_were_all_skipped_has_shown_nothing(
     checkout: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (checkout / "test_it.py").write_text("import pytest\npytest.skip('no torch', True)\n")
+    (checkout / "test_it.py").write_text(
+        "import pytest\n\ndef test_it():\n    pytest.skip('no torch')\n"
+    )
     unit = Unit("skips", "it works", ("-m", "pytest", "test_it.py"), 1.0)
     monkeypatch.setattr(runner, "UNITS", (unit,))
     assert runner.main([]) == 1

@@ -163,7 +163,7 @@ UNITS = (
     ),
     _tests(
         "fleet-outliers",
-        "of thirty simulated robots the worn ones stand out, and nobody else",
+        "of thirty simulated robots exactly the worn ones are reported as outliers",
         "tests/proofs/test_fleet_mock.py",
         minutes=30,
     ),

@@ -6,5 +6,5 @@ exchanges cycles (`core`, `timing`), in which the `supervisor` judges all axes (
 `player` writes set-points, with torques of the arm's `torque` model. `rows` has the record of a
 cycle and makes rows of it; `profile` scales raw integers to SI. All of that stands on the `bus`
 protocol, the `objects` and their `mapping` into process data. Below it is CAN: `can_bus`,
-`can_cycle`, `can_channel`; `replay` makes a recording anew from a log of its frames.
+`can_cycle`, `can_channel`; `replay` rebuilds a recording from a log of its frames.
 """
