@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
 from hil.core import (
@@ -25,11 +26,11 @@ from hil.core import (
     require_installed,
     write_whole,
 )
-from hil.data import Dataset
+from hil.data import Dataset, shortest_series
 from hil.dynamics import RobotModel
 from hil.estimators import GROUP, RobotEstimator, Training, model_files
 from hil.estimators import estimator as make_estimator
-from hil.evaluation.evaluation import evaluate
+from hil.evaluation.evaluation import MEASURED_ORDER, evaluate
 from hil.evaluation.validation import (
     EVALUATION_FILE,
     Validation,
@@ -176,7 +177,10 @@ def judge_source(model: RobotEstimator, source: Path) -> Validation:
 
 
 def usable_part(dataset: Dataset, model: RobotEstimator) -> Dataset:
-    """The series of the kinds an estimator learns from, the preferred ones if there are any.
+    """Return the series of the kinds an estimator learns from, the preferred ones if there are any.
+
+    Moves too short for a filter are left out where there are longer ones: an axis that slips in
+    the middle of a dwell makes one, and so does a recorded clock that pauses near a move's end.
 
     Raises:
         FitError: There are none.
@@ -184,13 +188,20 @@ def usable_part(dataset: Dataset, model: RobotEstimator) -> Dataset:
     for kinds in model.series_kinds:
         chosen = dataset.of_kind(*kinds)
         if len(chosen):
-            return chosen
+            return _without_short_moves(chosen)
     wanted = " or ".join(kind for kinds in model.series_kinds for kind in kinds)
     have = ", ".join(sorted({condition.kind for condition in dataset.conditions})) or "nothing"
     raise FitError(
         f"{model.estimator} works on {wanted} data, but there is only {have}",
         hint="record the excitation it needs, or choose another estimator",
     )
+
+
+def _without_short_moves(dataset: Dataset) -> Dataset:
+    lengths = np.diff(dataset.offsets)
+    moves = np.array([condition.kind == "move" for condition in dataset.conditions])
+    kept = np.flatnonzero(~moves | (lengths >= shortest_series(MEASURED_ORDER)))
+    return dataset.take(kept) if 0 < len(kept) < len(lengths) else dataset
 
 
 def fit_model(

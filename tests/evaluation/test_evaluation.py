@@ -9,7 +9,8 @@ from scipy.signal import butter, filtfilt
 
 from hil.core.errors import SpecError
 from hil.data import Dataset, Prediction
-from hil.evaluation import Criterion, evaluate, judge
+from hil.estimators import estimator
+from hil.evaluation import Criterion, evaluate, judge, usable_part
 from tests.support.synthetic_motion import dwelling, moving, raw
 
 
@@ -193,3 +194,17 @@ def test_criterion_in_another_unit_is_refused(evaluation) -> None:
 def test_criterion_for_an_unknown_metric_is_refused() -> None:
     with pytest.raises(SpecError, match="'rsme' cannot be a criterion"):
         Criterion("rsme", 0.5)
+
+
+def test_moves_too_short_for_a_filter_are_left_out_where_there_are_longer_ones() -> None:
+    data = raw(moving(1, 2, 3))
+    ends = data.offsets.copy()
+    ends[-1] = ends[-2] + 14  # as if an axis had slipped in the middle of a dwell
+    moves = tuple(replace(condition, kind="move") for condition in data.conditions)
+    columns = {name: values[: ends[-1]] for name, values in data.columns.items()}
+    slipped = replace(data, columns=columns, offsets=ends, conditions=moves)
+    model = estimator("rigid-wls")
+    assert usable_part(slipped, model).conditions == moves[:2]
+    trajectories = replace(slipped, conditions=data.conditions)
+    assert usable_part(trajectories, model).conditions == data.conditions
+    assert usable_part(slipped.take([2]), model).conditions == moves[2:]
