@@ -28,15 +28,7 @@ PAGE = DOCS / "reference" / "proofs.md"
 BEGIN, END = "<!-- table: make proof -->", "<!-- end of table -->"
 INPUTS = ("hil", "drivers", "mock_robot", "benchmarks", "experiments", "tests", "pyproject.toml")
 PRODUCT = ("hil/**/*", "drivers/**/*", "mock_robot/**/*", "benchmarks/**/*", "experiments/**/*")
-ALWAYS = (
-    *PRODUCT,
-    "pyproject.toml",
-    "constraints.txt",
-    "tests/conftest.py",
-    "tests/support/**/*",
-    "tests/faults/[!t]*.py",
-    "tests/proofs/[!tu_]*.py",
-)
+ALWAYS = (*PRODUCT, "pyproject.toml", "constraints.txt")
 MOST_FIGURES = 12
 """Printed lines that are kept of a unit."""
 
@@ -48,12 +40,37 @@ State = dict[str, dict[str, Any]]
 
 
 def inputs_of(unit: Unit) -> list[Path]:
-    """Return the files that a unit's result depends on."""
+    """Return the files that a unit's result depends on: what its tests import is among them."""
     patterns = [*ALWAYS, *unit.further]
-    for test in unit.tests:
+    if "pytest" in unit.run:
+        patterns.append("tests/conftest.py")
+    for test in (*unit.tests, *unit.modules):
         patterns.append(f"{test}/**/*.py" if (ROOT / test).is_dir() else test)
     found = {path for pattern in patterns for path in ROOT.glob(pattern)}
-    return sorted(path for path in found if path.is_file() and "__pycache__" not in path.parts)
+    files = {path for path in found if path.is_file() and "__pycache__" not in path.parts}
+    left = [path for path in files if path.is_relative_to(ROOT / "tests")]
+    while left:
+        new = imported_of_tests(left.pop()) - files
+        files |= new
+        left += new
+    return sorted(files)
+
+
+_IMPORT = re.compile(r"\bfrom (tests[\w.]*) import (\([^)]*\)|[^\n]*)|[\"' ](tests(?:\.\w+)+)\b")
+
+
+def imported_of_tests(file: Path) -> set[Path]:
+    """Return the files of `tests` that a file imports, or starts as modules, at any place in it."""
+    if file.suffix != ".py":
+        return set()
+    names: set[str] = set()
+    for package, members, module in _IMPORT.findall(file.read_text("utf-8")):
+        names |= {module or package, *(f"{package}.{name}" for name in re.findall(r"\w+", members))}
+    paths = {ROOT.joinpath(*name.split(".")) for name in names}
+    return {
+        path for name in paths for path in (name.with_suffix(".py"), name / "__init__.py")
+        if path.is_file()
+    }  # fmt: skip
 
 
 def digest_of(unit: Unit) -> str:

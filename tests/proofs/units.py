@@ -1,8 +1,8 @@
 """The proofs, one unit a claim: what is run for it, and about how long that takes.
 
 A unit is stale when a file that it depends on has changed since it last passed: what all depend on
-(`ALWAYS` of the runner: product, dependencies, experiments, helpers of tests), its own test files,
-and what it names besides.
+(`ALWAYS` of the runner: product, dependencies, experiments), its own test files with all that they
+import of `tests`, and what it names besides.
 """
 
 from __future__ import annotations
@@ -34,6 +34,12 @@ class Unit:
     def tests(self) -> tuple[str, ...]:
         """The test files it runs."""
         return tuple(part.partition("::")[0] for part in self.run if part.startswith("tests/"))
+
+    @property
+    def modules(self) -> tuple[str, ...]:
+        """The files of the modules of `tests` that it runs."""
+        found = (part for part in self.run if part.startswith("tests."))
+        return tuple(part.replace(".", "/") + ".py" for part in found)
 
 
 def _tests(name: str, claim: str, *files: str, minutes: float, further: str = "") -> Unit:
