@@ -34,8 +34,24 @@ def signals_are_heard() -> None:
 
 
 @pytest.fixture(scope="session")
-def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with one run of the mock and its registered model; nobody changes it."""
-    from tests.support.web_parts import measured_in
+def dwell_lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the run of a dwell program and its registered model; nobody changes it."""
+    from tests.support.recorded import dwells_in, once
 
-    return measured_in(tmp_path_factory.mktemp("lab"))
+    return once(tmp_path_factory, "dwells", dwells_in)
+
+
+@pytest.fixture(scope="session")
+def dwell_run(dwell_lab: Path) -> Path:
+    """The directory of that run."""
+    from tests.support.recorded import run_in
+
+    return run_in(dwell_lab)
+
+
+@pytest.fixture(scope="session")
+def fourier_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The directory of the run of a Fourier program; nobody changes it."""
+    from tests.support.recorded import once, run_in, trajectories_in
+
+    return run_in(once(tmp_path_factory, "trajectories", trajectories_in))

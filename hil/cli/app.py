@@ -87,6 +87,8 @@ def main() -> None:
         sys.exit(_report(_as_ours(error), out))
     except SystemExit as ending:
         sys.exit(_exit_code(ending, out))
+    finally:
+        _ignore_late_signals()
 
 
 def _one_blas_thread() -> None:
@@ -101,6 +103,13 @@ def _end_like_ctrl_c() -> None:
         number = getattr(signal, name, None)
         if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, signal.default_int_handler)
+
+
+def _ignore_late_signals() -> None:
+    """Let no signal change the exit code while the interpreter ends: the work is done."""
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+        if (number := getattr(signal, name, None)) is not None:
+            signal.signal(number, signal.SIG_IGN)
 
 
 def _report(error: HilError, out: Stream | None) -> int:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import signal
 import subprocess
@@ -14,29 +13,10 @@ from typing import Any
 
 import pytest
 
-from tests.support.paths import EXPERIMENTS
-
-DWELL = EXPERIMENTS / "ci_dwell_12.yaml"
-
-
-def hil(*arguments: Any, cwd: Path | None = None, **env: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "hil", *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        cwd=cwd,
-        env={**os.environ, "HIL_STATION": "", **env},
-        timeout=100,
-    )
-
-
-@pytest.fixture(scope="module")
-def done_run(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    runs = tmp_path_factory.mktemp("runs")
-    done = hil("run", DWELL, "--runs", runs, "--json")
-    assert done.returncode == 0, done.stderr
-    document: dict[str, Any] = json.loads(done.stdout)
-    return document
+from hil.recording.run_directory import RunDirectory
+from tests.support.command import hil
+from tests.support.recorded import DWELL, model_of
+from tests.support.waiting import until
 
 
 def station_with(folder: Path, options: str) -> Path:
@@ -126,31 +106,22 @@ def test_plan_for_humans_fits_a_narrow_terminal(tmp_path: Path) -> None:
 
 
 @pytest.mark.thorough
-def test_run_keeps_its_contract(done_run: dict[str, Any]) -> None:
-    assert set(done_run) == {
-        "run", "uid", "outcome", "verdict", "samples", "gaps", "duplicates", "models", "report",
-    }  # fmt: skip
-    (model,) = map(Path, done_run["models"])
-    assert (model / "model.json").is_file()
-    assert str(model) in hil("show", done_run["run"]).stdout
-    assert json.loads(hil("show", done_run["run"], "--json").stdout)["models"] == [str(model)]
-    assert (done_run["outcome"], done_run["verdict"]) == ("completed", "passed")
-    assert Path(done_run["report"]).is_file()
-
-
-@pytest.mark.thorough
-def test_runs_show_and_report_find_the_run(done_run: dict[str, Any]) -> None:
-    run = Path(done_run["run"])
+def test_runs_show_and_report_find_the_run(dwell_run: Path, tmp_path: Path) -> None:
+    run = dwell_run
     listed = json.loads(hil("runs", "--runs", run.parents[2], "--json").stdout)
-    assert [entry["uid"] for entry in listed] == [done_run["uid"]]
+    assert [entry["uid"] for entry in listed] == [RunDirectory.open(run).start["uid"]]
     assert "static-wls" in hil("show", run).stdout
     assert json.loads(hil("show", run, "--json").stdout)["stop"]["outcome"] == "completed"
-    assert hil("report", run).stdout.strip().endswith("report.html")
+    copy = shutil.copytree(run, tmp_path / "copy")
+    assert hil("report", copy).stdout.strip().endswith("report.html")
+    model = str(model_of(run))
+    assert model in hil("show", run).stdout
+    assert json.loads(hil("show", run, "--json").stdout)["models"] == [model]
 
 
 @pytest.mark.thorough
-def test_fit_and_evaluate_keep_their_contract(done_run: dict[str, Any], tmp_path: Path) -> None:
-    run = done_run["run"]
+def test_fit_and_evaluate_keep_their_contract(dwell_run: Path, tmp_path: Path) -> None:
+    run = dwell_run
     fitted = hil("fit", run, "--estimator", "static-wls", "-o", tmp_path, "--json")
     assert fitted.returncode == 0, fitted.stderr
     model = json.loads(fitted.stdout)
@@ -169,18 +140,16 @@ def test_fit_and_evaluate_keep_their_contract(done_run: dict[str, Any], tmp_path
 
 
 @pytest.mark.thorough
-def test_validating_on_the_training_data_is_refused(done_run: dict[str, Any]) -> None:
-    run = done_run["run"]
+def test_validating_on_the_training_data_is_refused(dwell_run: Path) -> None:
+    run = dwell_run
     done = hil("fit", run, "-e", "static-wls", "--validate", run, "--json")
     assert done.returncode == 8
     assert "both training and test" in json.loads(done.stdout)["error"]["message"]
 
 
 @pytest.mark.thorough
-def test_evaluating_on_the_training_data_is_refused(
-    done_run: dict[str, Any], tmp_path: Path
-) -> None:
-    run = done_run["run"]
+def test_evaluating_on_the_training_data_is_refused(dwell_run: Path, tmp_path: Path) -> None:
+    run = dwell_run
     model = json.loads(hil("fit", run, "-e", "static-wls", "-o", tmp_path, "--json").stdout)
     done = hil("evaluate", model["model"], run, "--json")
     assert done.returncode == 8
@@ -197,37 +166,6 @@ def test_unknown_estimators_are_guessed() -> None:
 
 
 @pytest.mark.thorough
-def test_a_rejected_model_exits_10(tmp_path: Path) -> None:
-    spec = tmp_path / "strict.yaml"
-    text = DWELL.read_text("utf-8").replace("accept:", "accept:\n  nrmse: {max: 0.001}")
-    spec.write_text(text, "utf-8")
-    done = hil("run", spec, "--runs", tmp_path)
-    assert done.returncode == 10
-    assert "hil show" in done.stderr.splitlines()[-1]
-
-
-@pytest.mark.thorough
-def test_a_rejected_run_prints_one_document(tmp_path: Path) -> None:
-    text = DWELL.read_text("utf-8").replace("accept:", "accept:\n  nrmse: {max: 0.001}")
-    spec = tmp_path / "strict.yaml"
-    spec.write_text(text, "utf-8")
-    done = hil("run", spec, "--runs", tmp_path, "--json")
-    assert done.returncode == 10
-    assert json.loads(done.stdout)["verdict"] == "rejected"
-    assert "Rejected" in done.stderr
-
-
-@pytest.mark.thorough
-def test_a_tripped_run_exits_5_and_prints_one_document(tmp_path: Path) -> None:
-    lock = "interlocks: [{kind: tracking_error, limit_rad: 0.0005}]"
-    spec = tmp_path / "tight.yaml"
-    spec.write_text(DWELL.read_text("utf-8") + f"\n{lock}\n", "utf-8")
-    done = hil("run", spec, "--runs", tmp_path, "--json")
-    assert done.returncode == 5
-    assert json.loads(done.stdout)["outcome"] == "tripped"
-
-
-@pytest.mark.thorough
 @pytest.mark.parametrize("numbers", [[signal.SIGINT, signal.SIGINT], [signal.SIGTERM]])
 def test_signals_stop_the_run_and_keep_its_data(tmp_path: Path, numbers: list[int]) -> None:
     spec = tmp_path / "long.yaml"
@@ -239,9 +177,7 @@ def test_signals_stop_the_run_and_keep_its_data(tmp_path: Path, numbers: list[in
         stderr=subprocess.PIPE,
         text=True,
     ) as running:
-        deadline = time.monotonic() + 60
-        while not _running(tmp_path) and time.monotonic() < deadline:
-            time.sleep(0.05)
+        until(lambda: _running(tmp_path) or running.poll() is not None, 100)
         for number in numbers:
             running.send_signal(number)
             time.sleep(0.3)  # two of a kind at once arrive as one
@@ -343,10 +279,8 @@ def test_what_cannot_be_written_is_one_line_and_exit_7(arguments: Any, tmp_path:
 
 
 @pytest.mark.thorough
-def test_a_model_or_report_that_cannot_be_written_exits_7(
-    done_run: dict[str, Any], tmp_path: Path
-) -> None:
-    run = Path(done_run["run"])
+def test_a_model_or_report_that_cannot_be_written_exits_7(dwell_run: Path, tmp_path: Path) -> None:
+    run = dwell_run
     occupied = tmp_path / "file"
     occupied.touch()
     fitted = hil("fit", run, "-e", "static-wls", "-o", occupied / "models", "--json")
@@ -371,13 +305,11 @@ def test_a_file_is_no_folder_of_runs_but_a_missing_folder_holds_none(tmp_path: P
 
 
 @pytest.mark.thorough
-def test_show_verify_tells_changed_and_missing_files(
-    done_run: dict[str, Any], tmp_path: Path
-) -> None:
-    whole = hil("show", done_run["run"], "--verify")
+def test_show_verify_tells_changed_and_missing_files(dwell_run: Path, tmp_path: Path) -> None:
+    whole = hil("show", dwell_run, "--verify")
     assert whole.returncode == 0, whole.stderr
     assert "every file is as the run left it" in whole.stdout
-    copy = shutil.copytree(done_run["run"], tmp_path / "copy")
+    copy = shutil.copytree(dwell_run, tmp_path / "copy")
     (copy / "plan.json").write_text("{}")
     (copy / "station.yaml").unlink()
     assert hil("show", copy).returncode == 0
@@ -438,12 +370,13 @@ def test_a_waiver_needs_a_reason_and_is_recorded(tmp_path: Path) -> None:
 
 
 @pytest.mark.thorough
-def test_recordings_are_found_by_the_number_of_their_run(
-    done_run: dict[str, Any], tmp_path: Path
-) -> None:
-    where = ("--runs", Path(done_run["run"]).parents[2])
+def test_recordings_are_found_by_the_number_of_their_run(dwell_run: Path, tmp_path: Path) -> None:
+    runs = Path(shutil.copytree(dwell_run.parents[2], tmp_path / "runs"))
+    where = ("--runs", runs)
     again = hil("report", "1", *where, "--json")
-    assert json.loads(again.stdout)["run"] == done_run["run"]
+    assert json.loads(again.stdout)["run"] == str(
+        runs / dwell_run.relative_to(dwell_run.parents[2])
+    )
     fitted = hil("fit", "1", "-e", "static-wls", "-o", tmp_path / "models", *where, "--json")
     assert fitted.returncode == 0, fitted.stderr
     assert hil("fit", "7", "-e", "static-wls", *where).returncode == 8

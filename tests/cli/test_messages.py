@@ -8,16 +8,14 @@ import subprocess
 import sys
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 import hil as package
 from hil.cli.app import _as_ours
 from hil.core.errors import DataError, RecordingError
-from tests.support.paths import EXPERIMENTS
-
-DWELL = EXPERIMENTS / "ci_dwell_12.yaml"
+from tests.support.command import Said, hil
+from tests.support.recorded import DWELL
 
 MAP = """\
 hil_map: 1
@@ -32,12 +30,7 @@ columns:
 """
 
 
-def hil(*arguments: Any, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "hil", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=100)
-
-
-def importing(folder: Path, out: str) -> subprocess.CompletedProcess[str]:
+def importing(folder: Path, out: str) -> Said:
     (folder / "map.yaml").write_text(MAP, "utf-8")
     (folder / "run.csv").write_text("0,0,1,1\n0.1,0.1,1,2\n", "utf-8")
     return hil("import", "run.csv", "--map", "map.yaml", "-o", out, cwd=folder)

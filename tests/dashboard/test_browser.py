@@ -6,18 +6,16 @@ With HIL_SCREENSHOTS=FOLDER pictures of every page are kept there, in both theme
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-import hil
-from hil.models.model_registry import facts_of
 from hil.recording.run_directory import RunDirectory
 from tests.support.browser.bench import SMALL, STATION, opened, serving
 from tests.support.browser.looking import contrasts_below, enter, problems_of, tab_to, until
-from tests.support.paths import EXPERIMENTS
 from tests.support.waiting import until as wait
 
 pytestmark = [pytest.mark.wire, pytest.mark.timeout(240)]
@@ -38,15 +36,12 @@ DESKTOP = {"width": 1280, "height": 900}
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(dwell_lab: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Specs of a bench with a mock in wall time, and a run that has ended."""
-    made = tmp_path_factory.mktemp("bench")
+    made = Path(shutil.copytree(dwell_lab, tmp_path_factory.mktemp("bench") / "lab"))
     (made / "specs").mkdir()
     (made / "specs" / "small.yaml").write_text(SMALL, "utf-8")
     (made / "specs" / "station.yaml").write_text(STATION, "utf-8")
-    ended = hil.run(hil.load(EXPERIMENTS / "ci_dwell_12.yaml"), runs=made / "runs")
-    (model,) = ended.models
-    hil.registry(made / "registry").register("ur5", model, facts_of(model))
     return made
 
 

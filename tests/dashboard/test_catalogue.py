@@ -13,7 +13,8 @@ from starlette.testclient import TestClient
 
 from hil.dashboard.catalogue import PER_PAGE
 from tests.support.catalogue_runs import write_run
-from tests.support.web_parts import SLY, dashboard, plain, seen
+from tests.support.recorded import SLY
+from tests.support.web_parts import dashboard, plain, seen
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,8 @@ from hil.core.lock_file import hold_run
 from hil.recording.run_directory import RunDirectory
 from hil.runs.catalogue import find_runs
 from tests.support.catalogue_runs import close_folders
-from tests.support.web_parts import dashboard, failing, run_in, seen
+from tests.support.recorded import run_in
+from tests.support.web_parts import dashboard, failing, seen
 
 DEEP = '{"a": ' * 900 + "1" + "}" * 900
 WHOLE = ["{}", "[]", '"x"', "1e999", DEEP, ""]
@@ -29,8 +30,8 @@ DOCUMENTS = ["start.json", "stop.json", "verdict.json", "plan.json", "preflight.
 
 
 @pytest.fixture
-def lab(measured: Path, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(measured, tmp_path / "lab"))
+def lab(dwell_lab: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(dwell_lab, tmp_path / "lab"))
 
 
 def documents(run: Path) -> Iterator[Path]:

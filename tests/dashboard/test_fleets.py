@@ -11,7 +11,8 @@ pytest.importorskip("starlette", reason='the dashboard: pip install "hil[web]"')
 
 from hil.recording.run_group import FleetGroup, Member
 from tests.support.catalogue_runs import close_folders, write_run
-from tests.support.web_parts import SLY, dashboard, plain, seen
+from tests.support.recorded import SLY
+from tests.support.web_parts import dashboard, plain, seen
 
 
 @pytest.fixture

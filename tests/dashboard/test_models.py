@@ -15,7 +15,8 @@ from hil.models.drift import PROBES_FILE, assess
 from hil.models.log import Entry
 from hil.models.model_registry import Registry
 from tests.support.drift_parts import probe
-from tests.support.web_parts import SLY, dashboard, plain, seen
+from tests.support.recorded import SLY
+from tests.support.web_parts import dashboard, plain, seen
 
 MOTION = 30
 

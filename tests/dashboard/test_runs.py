@@ -13,19 +13,20 @@ pytest.importorskip("starlette", reason='the dashboard: pip install "hil[web]"')
 
 from hil.core.lock_file import hold_run
 from hil.dashboard.run_files import SANDBOX
-from tests.support.web_parts import SLY, dashboard, plain, run_in, seen
+from tests.support.recorded import SLY, run_in
 from tests.support.web_parts import address_of_run as address
+from tests.support.web_parts import dashboard, plain, seen
 
 
 @pytest.fixture
-def lab(measured: Path, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(measured, tmp_path / "lab"))
+def lab(dwell_lab: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(dwell_lab, tmp_path / "lab"))
 
 
 @pytest.mark.thorough
-def test_a_page_says_what_it_was_and_what_came_of_it(measured: Path) -> None:
-    run, client = run_in(measured), dashboard(measured)
-    html = seen(client, address(run, measured))
+def test_a_page_says_what_it_was_and_what_came_of_it(dwell_lab: Path) -> None:
+    run, client = run_in(dwell_lab), dashboard(dwell_lab)
+    html = seen(client, address(run, dwell_lab))
     told = plain(html)
     for text in ("Twelve static poses", "ur5-full-0", "0 kg", "dwell 24 24", "RMSE raw ≤ 0.35 A",
                  "static-wls", "J6 wrist_3_joint", "00.mcap", "&lt;img"):  # fmt: skip
@@ -33,7 +34,7 @@ def test_a_page_says_what_it_was_and_what_came_of_it(measured: Path) -> None:
     assert "clock virtual: simulated" in told
     assert re.search("12\u202f\\d{3} samples in 1 min", html)
     assert '<a href="/models/ur5/v1">ur5 v1</a>' in html
-    assert f'href="{address(run, measured)}/report"' in html
+    assert f'href="{address(run, dwell_lab)}/report"' in html
 
 
 @pytest.mark.parametrize("clock", ["virtual", "wall", 3, None])
@@ -85,8 +86,8 @@ def test_a_folder_that_was_never_begun_is_no_fault(lab: Path) -> None:
     assert "neither start.json nor plan.json" in html
 
 
-def test_a_report_is_shut_in(measured: Path) -> None:
-    answer = dashboard(measured).get(f"{address(run_in(measured), measured)}/report")
+def test_a_report_is_shut_in(dwell_lab: Path) -> None:
+    answer = dashboard(dwell_lab).get(f"{address(run_in(dwell_lab), dwell_lab)}/report")
     assert answer.status_code == 200
     assert "<title>" in answer.text
     for name, value in SANDBOX.items():
@@ -117,9 +118,9 @@ def test_without_a_report_the_page_says_how_to_make_one(lab: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["spec.yaml", "recording/00.mcap", "plan.json"])
-def test_files_are_for_keeping(measured: Path, name: str) -> None:
-    run = run_in(measured)
-    answer = dashboard(measured).get(f"{address(run, measured)}/file?path={name}")
+def test_files_are_for_keeping(dwell_lab: Path, name: str) -> None:
+    run = run_in(dwell_lab)
+    answer = dashboard(dwell_lab).get(f"{address(run, dwell_lab)}/file?path={name}")
     assert answer.content == (run / name).read_bytes()
     assert answer.headers["content-type"] == "application/octet-stream"
     assert answer.headers["content-disposition"].startswith("attachment; filename=")
@@ -171,6 +172,6 @@ def test_a_report_that_is_a_link_is_none(lab: Path) -> None:
     assert dashboard(lab).get(f"{address(run, lab)}/report").status_code == 404
 
 
-def test_a_day_is_no_run(measured: Path) -> None:
-    day = run_in(measured).parents[1]
-    assert dashboard(measured).get(address(day, measured)).status_code == 404
+def test_a_day_is_no_run(dwell_lab: Path) -> None:
+    day = run_in(dwell_lab).parents[1]
+    assert dashboard(dwell_lab).get(address(day, dwell_lab)).status_code == 404

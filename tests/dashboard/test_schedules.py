@@ -19,8 +19,9 @@ from hil.maintenance.ledger import LEDGER_FILE, Ledger, open_ledger
 from hil.spec.schedule import load_schedule_spec
 from tests.support.catalogue_runs import write_run
 from tests.support.pipeline_parts import CAMPAIGN, PROBE
+from tests.support.recorded import SLY
 from tests.support.schedule_parts import raising, scheduler
-from tests.support.web_parts import SLY, dashboard, plain, seen
+from tests.support.web_parts import dashboard, plain, seen
 
 # Nights to come, whatever day it is: none of the three that are over was kept from its probe.
 DAYS = [f"{datetime.now(UTC) + timedelta(days=ahead):%a}".lower() for ahead in (2, 3)]

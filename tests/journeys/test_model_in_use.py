@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +10,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-import hil
 from hil.cli.app import app
 from hil.control.hand_guiding import HandGuiding
 from hil.core.errors import FitError, PlanError, SpecError
 from hil.estimators import load_model_file
 from hil_mock_robot.embedded.robot import MockRobot
-from tests.support.paths import EXPERIMENTS
+from tests.support.recorded import model_of
 
 START_DEG = [20, -70, 60, -40, 60, 10]
 FRICTION = [5.3, 5.5, 4.4, 1.25, 1.1, 1.15]
@@ -29,11 +27,8 @@ SAMPLES = 400
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    os.environ.pop("HIL_STATION", None)
-    report = hil.run(hil.load(EXPERIMENTS / "ci_dwell_12.yaml"), runs=tmp_path_factory.mktemp("r"))
-    (found,) = (Path(report.run) / "fit").iterdir()
-    return found
+def folder(dwell_run: Path) -> Path:
+    return model_of(dwell_run)
 
 
 @pytest.fixture(scope="module")

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import io
 import json
 import os
 import shutil
-import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from contextlib import ExitStack
-from dataclasses import dataclass
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -19,7 +16,6 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from markupsafe import escape
 
-from hil.cli.app import main
 from hil.core.files import json_document, json_line, read_json
 from hil.core.lock_file import hold_run
 from hil.core.text import json_text, name_read, name_text, quoted, shell_word, utf8_text
@@ -27,11 +23,12 @@ from hil.models.log import damaged
 from hil.recording.run_directory import RunDirectory
 from hil.recording.run_group import FleetGroup, Member
 from tests.support.catalogue_runs import write_run
-from tests.support.paths import EXPERIMENTS, FILES
+from tests.support.command import hil
+from tests.support.paths import FILES
 from tests.support.pipeline_parts import CAMPAIGN, PROBE
+from tests.support.recorded import DWELL
 from tests.support.web_parts import dashboard, require_fit_for_all
 
-DWELL = EXPERIMENTS / "ci_dwell_12.yaml"
 URDF = FILES / "own_arm.urdf"
 WORST = os.fsdecode(b"d\xff \x1b[31m'\"\n\t<img src=x onerror=alert(1)>\\x41%41")
 NAMES = {
@@ -87,49 +84,11 @@ def test_a_shell_takes_the_word_for_the_name(name: str) -> None:
     assert said.stdout == os.fsencode(name)
 
 
-@dataclass(frozen=True)
-class Said:
-    """What a command printed, as it leaves the process."""
-
-    code: int
-    out: str
-    errors: str
-
-    @property
-    def document(self) -> Any:
-        return json.loads(self.out)
-
-
-@pytest.fixture
-def hil(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Said]:
-    """The command line up to the bytes of its output; nothing else may leave it."""
-
-    def command(*arguments: object) -> Said:
-        streams = [io.TextIOWrapper(io.BytesIO(), encoding="utf-8", errors="strict") for _ in "oe"]
-        monkeypatch.setattr("hil.cli.app._end_like_ctrl_c", lambda: None)
-        monkeypatch.setattr(sys, "argv", ["hil", *map(str, arguments)])
-        monkeypatch.setattr(sys, "stdout", streams[0])
-        monkeypatch.setattr(sys, "stderr", streams[1])
-        try:
-            main()
-            code = 0
-        except SystemExit as ending:
-            code = ending.code if isinstance(ending.code, int) else 1
-        finally:
-            monkeypatch.undo()
-        out, errors = (
-            stream.buffer.getvalue().decode() for stream in streams if not stream.flush()
-        )
-        return Said(code, out, errors)
-
-    return command
-
-
 @pytest.fixture(scope="module")
-def lab(measured: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def lab(dwell_lab: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run in a folder, below a folder of runs, under the worst of names; model and schedule."""
     home = tmp_path_factory.mktemp("odd") / WORST
-    shutil.copytree(measured, home)
+    shutil.copytree(dwell_lab, home)
     (home / "runs").rename(home / f"runs-{WORST}")
     shutil.copy(DWELL, home / f"{WORST}.yaml")
     for name, spec in (("probe", PROBE), ("campaign", CAMPAIGN)):
@@ -197,23 +156,21 @@ VERBS = {
 @pytest.mark.parametrize("as_json", [False, True], ids=["text", "--json"])
 @pytest.mark.parametrize("verb", VERBS)
 def test_every_verb_ends_as_it_would_with_another_name(
-    verb: str, as_json: bool, places: dict[str, Path], hil: Callable[..., Said]
+    verb: str, as_json: bool, places: dict[str, Path]
 ) -> None:
     words = [word.format(**places) for word in f"{verb} {VERBS[verb]}".split(" ")]
     said = hil(*words, *(["--json"] if as_json else []))
-    assert said.code in (0, 2, 8, 9, 11)
-    if as_json and "No such option: --json" not in said.errors:
-        for line in said.out.splitlines() if verb == "watch" else [said.out]:
+    assert said.returncode in (0, 2, 8, 9, 11)
+    if as_json and "No such option: --json" not in said.stderr:
+        for line in said.stdout.splitlines() if verb == "watch" else [said.stdout]:
             json.loads(line)
 
 
 @pytest.mark.thorough
-def test_a_run_ends_with_its_report(
-    places: dict[str, Path], tmp_path: Path, hil: Callable[..., Said]
-) -> None:
+def test_a_run_ends_with_its_report(places: dict[str, Path], tmp_path: Path) -> None:
     runs = tmp_path / f"runs-{WORST}"
     said = hil("run", places["spec"], "--runs", runs, "--operator", "ada", "--json")
-    assert said.code == 0, said.errors
+    assert said.returncode == 0, said.stderr
     (run,) = runs.glob("*/*/0*")
     assert Path(said.document["run"]) == run
     assert Path(read_json(run / "start.json")["spec"]).samefile(places["spec"])
@@ -221,17 +178,15 @@ def test_a_run_ends_with_its_report(
 
 
 @pytest.mark.thorough
-def test_an_arm_of_ones_own_may_stand_in_a_folder_of_any_name(
-    tmp_path: Path, hil: Callable[..., Said]
-) -> None:
+def test_an_arm_of_ones_own_may_stand_in_a_folder_of_any_name(tmp_path: Path) -> None:
     home = tmp_path / WORST
-    assert hil("new", "own-urdf", "--urdf", URDF, "--out", home).code == 0
+    assert hil("new", "own-urdf", "--urdf", URDF, "--out", home).returncode == 0
     (home / "small.yaml").write_text(DWELL.read_text().replace("robot: ur5", "robot: own_arm"))
     words = ("--station", home / "own_arm-station.yaml", "--runs", home / "runs", "--json")
     said = hil("run", home / "small.yaml", *words)
-    assert said.code == 0, said.errors
+    assert said.returncode == 0, said.stderr
     report = hil("report", said.document["run"], "--json")  # from the station it has copied
-    assert report.code == 0, report.errors
+    assert report.returncode == 0, report.stderr
 
 
 @pytest.fixture(params=NAMES.values(), ids=NAMES)
@@ -244,18 +199,16 @@ def runs(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
 
 
 @pytest.mark.thorough
-def test_the_catalogue_has_a_run_of_any_name(runs: Path, hil: Callable[..., Said]) -> None:
+def test_the_catalogue_has_a_run_of_any_name(runs: Path) -> None:
     there = {str(path) for path in runs.glob("*/*/*")}
     for query in ((), ("number>0",), ("number>0", "--rebuild")):  # read, kept, and read again
         said = hil("runs", *query, "--runs", runs, "--json")
         assert {one["run"] for one in said.document} == there
-        assert hil("runs", *query, "--runs", runs).out.count("completed") == 2
+        assert hil("runs", *query, "--runs", runs).stdout.count("completed") == 2
 
 
 @pytest.mark.parametrize("name", NAMES.values(), ids=NAMES)
-def test_a_suggested_command_names_the_folder_whatever_its_name(
-    name: str, tmp_path: Path, hil: Callable[..., Said]
-) -> None:
+def test_a_suggested_command_names_the_folder_whatever_its_name(name: str, tmp_path: Path) -> None:
     bash = shutil.which("bash")
     if bash is None:
         pytest.skip("no bash here")
@@ -263,7 +216,7 @@ def test_a_suggested_command_names_the_folder_whatever_its_name(
 
     root = tmp_path / name / "runs"
     run = write_run(root, 7)
-    table = hil("runs", "--runs", root).out
+    table = hil("runs", "--runs", root).stdout
     entries = hil("runs", "--runs", root, "--json").document
     hint = damaged(root / "ur5", "a line is damaged").hint
     suggested = {

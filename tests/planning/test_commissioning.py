@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from itertools import pairwise
 from pathlib import Path
 
@@ -21,7 +19,9 @@ from hil.planning.plan import LoadStep, Plan, Step, read_plan
 from hil.planning.plan_preview import preview
 from hil.planning.swept_space import swept
 from hil.recording.mcap_reader import read_topic
+from tests.support.command import hil
 from tests.support.plan_parts import spec_of, ur5
+from tests.support.recorded import DWELL
 
 RATE_HZ = 125.0
 
@@ -246,18 +246,12 @@ def test_a_commissioning_plan_is_not_blamed_for_what_only_a_fit_needs():
     assert shown.warnings == ()
 
 
-def hil(*arguments):
-    command = [sys.executable, "-m", "hil", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True)
-
-
 @pytest.mark.thorough
 def test_plan_shows_exactly_what_the_run_with_the_same_options_does(tmp_path):
     options = ("--speed", "50%", "--first", "2", "--set", "excitation.seed=5")
-    spec = "experiments/ci_dwell_12.yaml"
     picture = ("--picture", tmp_path / "plan.svg")
-    planned = json.loads(hil("plan", spec, *options, *picture, "--json").stdout)
-    done = hil("run", spec, *options, "--runs", tmp_path)
+    planned = json.loads(hil("plan", DWELL, *options, *picture, "--json").stdout)
+    done = hil("run", DWELL, *options, "--runs", tmp_path)
     assert done.returncode == 0, done.stderr
     (start,) = tmp_path.glob("*/ur5/*/start.json")
     assert json.loads(start.read_text())["plan_hash"] == planned["hash"]
@@ -267,8 +261,7 @@ def test_plan_shows_exactly_what_the_run_with_the_same_options_does(tmp_path):
 
 @pytest.mark.thorough
 def test_time_ranges_and_boxes_are_printed_before_anything_moves(tmp_path):
-    spec = "experiments/ci_dwell_12.yaml"
-    said = hil("run", spec, "--speed", "50%", "--first", "1", "--runs", tmp_path).stderr
+    said = hil("run", DWELL, "--speed", "50%", "--first", "1", "--runs", tmp_path).stderr
     (plan,) = tmp_path.glob("*/ur5/*/plan.json")
     expected = swept(read_plan(plan), load_arm("ur5")).lines()
     lines = [line.strip() for line in said.splitlines()]
@@ -280,15 +273,14 @@ def test_time_ranges_and_boxes_are_printed_before_anything_moves(tmp_path):
 
 @pytest.mark.thorough
 def test_plan_prints_ranges_and_boxes(tmp_path):
-    spec = "experiments/ci_dwell_12.yaml"
-    said = hil("plan", spec, "--speed", "50%", "--picture", tmp_path / "plan.svg").stdout
+    said = hil("plan", DWELL, "--speed", "50%", "--picture", tmp_path / "plan.svg").stdout
     names = {line.split("  ")[0] for line in said.splitlines()}
     assert {"duration", "elbow_joint", "flange x", "flange z", "elbow y"} <= names
 
 
 @pytest.mark.thorough
 def test_a_commissioning_run_says_so_and_is_not_judged(tmp_path):
-    asked = ("run", "experiments/ci_dwell_12.yaml", "--runs", tmp_path, "--json")
+    asked = ("run", DWELL, "--runs", tmp_path, "--json")
     done = hil(*asked, "--speed", "50%", "--first", "2")
     assert done.returncode == 0, done.stderr
     said = json.loads(done.stdout)
@@ -301,8 +293,7 @@ def test_a_commissioning_run_says_so_and_is_not_judged(tmp_path):
     assert (
         f"It is of a commissioning run, {part}: such runs are neither fitted nor judged." in shown
     )
-    spec = Path("experiments/ci_dwell_12.yaml").resolve()
-    assert shown.endswith(f"next: hil run {spec} --speed 50%")
+    assert shown.endswith(f"next: hil run {DWELL} --speed 50%")
     assert "hil fit" not in shown
     rows = read_topic(Path(said["run"]) / "recording" / "00.mcap")
     assert np.abs(rows["qd_target"]).max() <= np.radians(60) * 0.5 + 1e-6

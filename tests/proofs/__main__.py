@@ -33,7 +33,9 @@ MOST_FIGURES = 12
 """Printed lines that are kept of a unit."""
 
 _NOISE = re.compile(
-    r"[.sFEx]*\s*\[ *\d+%\]|[.sFEx]+|=+.*|-+.*|tests/\S+ .*|bringing up nodes.*|plugins?:.*"
+    r"[.sFEx]*\s*\[ *\d+%\]|[.sFEx]+|=+.*|-+.*|tests/\S+ .*|bringing up nodes.*|"
+    r"(?:platform|rootdir|configfile|plugins|timeout|timeout method|timeout func_only):? .*|"
+    r"(?:created|collecting|collected) .*"
 )
 
 State = dict[str, dict[str, Any]]

@@ -10,15 +10,9 @@ from typing import Any
 
 from starlette.testclient import TestClient
 
-import hil
 from hil.dashboard.server import create_app
 from hil.dashboard.settings import Settings
-from hil.models.model_registry import Registry, facts_of
-from tests.support.paths import EXPERIMENTS
-
-DWELL = EXPERIMENTS / "ci_dwell_12.yaml"
-SLY = "<img src=x onerror=alert(1)>"
-"""A text that would run, were it not escaped."""
+from tests.support.recorded import SLY
 
 
 def dashboard(folder: Path, **more: Any) -> TestClient:
@@ -27,20 +21,6 @@ def dashboard(folder: Path, **more: Any) -> TestClient:
              "schedules": folder / "schedules", "specs": folder / "specs"}  # fmt: skip
     made = create_app(Settings(**{**given, **more}))
     return TestClient(made, base_url="http://127.0.0.1:8350", headers={"accept": "text/html"})
-
-
-def measured_in(folder: Path) -> Path:
-    """A folder with one run of the mock: its report, studies and model, which is registered."""
-    report = hil.run(hil.load(DWELL), runs=folder / "runs", operator=SLY)
-    (model,) = report.models
-    Registry(folder / "registry").register("ur5", model, facts_of(model))
-    return folder
-
-
-def run_in(lab: Path, name: str = "0*") -> Path:
-    """The only run of a folder, or the only one of that name."""
-    (found,) = (lab / "runs").glob(f"*/*/{name}")
-    return found
 
 
 def address_of_run(run: Path, lab: Path) -> str:

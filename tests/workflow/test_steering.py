@@ -24,15 +24,11 @@ from hil.workflow.remote_control import (
     resume_live_run,
     stop_run,
 )
+from tests.support.command import hil
 from tests.support.live_run import live_run
 from tests.support.waiting import until
 
 pytestmark = pytest.mark.wire
-
-
-def hil(*arguments: Any) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "hil", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60)
 
 
 def moving(run: Path) -> bool:
