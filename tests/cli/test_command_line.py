@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
+import io
 import json
+import os
 import shutil
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
+import typer
 
+import hil as package
+from hil.cli import app as command_line
+from hil.cli.app import _as_ours, app
+from hil.core.errors import DataError, RecordingError
 from hil.recording.run_directory import RunDirectory
-from tests.support.command import hil
+from tests.support.command import Said, hil
 from tests.support.recorded import DWELL, model_of
 from tests.support.waiting import until
 
@@ -391,3 +400,292 @@ def test_a_waiver_that_cannot_be_leaves_no_run(tmp_path: Path, waiver: str, told
     assert done.returncode == 2
     assert told in done.stderr
     assert not (tmp_path / "runs").exists()
+
+
+# Small things people type first: versions, lists, wrong file names
+
+
+MAP = """\
+hil_map: 1
+format: csv
+robot: two-link
+joint_names: [a, b]
+effort_kind: torque
+columns:
+  t: {rate_hz: 100}
+  q: {columns: "1:2", unit: rad}
+  effort: {columns: "3:4", unit: N·m}
+"""
+
+
+def importing(folder: Path, out: str) -> Said:
+    (folder / "map.yaml").write_text(MAP, "utf-8")
+    (folder / "run.csv").write_text("0,0,1,1\n0.1,0.1,1,2\n", "utf-8")
+    return hil("import", "run.csv", "--map", "map.yaml", "-o", out, cwd=folder)
+
+
+def test_version_is_told() -> None:
+    assert hil("--version").stdout == f"hil {package.__version__}\n"
+
+
+def test_benchmarks_are_listed_with_what_they_measure() -> None:
+    listed = json.loads(hil("bench", "list", "--json").stdout)
+    told = {entry["name"]: entry["description"] for entry in listed}
+    assert "faster than real time" in told["mock"]
+    assert all(told.values())
+
+
+def test_a_picture_of_another_format_is_refused_before_planning(tmp_path: Path) -> None:
+    done = hil("plan", DWELL, "--picture", "motion.pdf", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "--picture motion.svg" in done.stderr
+
+
+@pytest.mark.thorough
+def test_an_ordinary_plan_has_no_warnings_and_a_poor_one_says_so(tmp_path: Path) -> None:
+    good = json.loads(hil("plan", DWELL, "--json", cwd=tmp_path).stdout)
+    assert good["warnings"] == []
+    poor = tmp_path / "poor.yaml"
+    poor.write_text("hil: 1\nname: poor\nrobot: ur5\nexcitation: {kind: dwell, waypoints: 1}\n")
+    done = hil("plan", poor, cwd=tmp_path)
+    assert done.returncode == 0
+    assert "warning: " in done.stdout
+    assert "condition number" in done.stdout.partition("warning: ")[2]
+
+
+@pytest.mark.thorough
+def test_import_never_replaces_a_file_and_says_how_to_go_on(tmp_path: Path) -> None:
+    (tmp_path / "out.mcap").write_text("mine")
+    done = importing(tmp_path, "out.mcap")
+    assert done.returncode == 7
+    assert "choose another -o" in done.stderr
+    assert (tmp_path / "out.mcap").read_text() == "mine"
+
+
+@pytest.mark.thorough
+def test_import_makes_no_folders_unasked(tmp_path: Path) -> None:
+    done = importing(tmp_path, "imprted/out.mcap")
+    assert done.returncode == 7
+    assert "mkdir -p imprted" in done.stderr
+    assert not (tmp_path / "imprted").exists()
+
+
+@pytest.mark.thorough
+def test_columns_are_counted_from_one(tmp_path: Path) -> None:
+    (tmp_path / "map.yaml").write_text(MAP.replace('"1:2"', '"0:1"'), "utf-8")
+    (tmp_path / "run.csv").write_text("0,0,1,1\n0.1,0.1,1,2\n", "utf-8")
+    done = hil("import", "run.csv", "--map", "map.yaml", "-o", "out.mcap", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "columns.q.columns: columns are counted from 1" in done.stderr
+
+
+@pytest.mark.thorough
+def test_the_schema_of_import_maps_is_printed() -> None:
+    schema = json.loads(hil("schema", "map").stdout)
+    assert schema["title"] == "hil map"
+    assert "joint_names" in schema["required"]
+
+
+LACKING = """
+import sys, hil, hil_mock_robot
+from pathlib import Path
+FILE = Path(hil_mock_robot.__file__).with_name("ranges.yaml")
+from hil.cli.app import _as_ours
+error = FileNotFoundError(2, "No such file or directory", str(FILE))
+sys.stdout.write(f"{type(_as_ours(error)).__name__} {_as_ours(error).exit_code} {_as_ours(error)}")
+"""
+
+
+def test_a_file_that_an_installation_lacks_is_no_fault_of_a_recording() -> None:
+    done = subprocess.run([sys.executable, "-c", LACKING], capture_output=True, text=True)
+    assert done.stdout.startswith("PluginError 2 "), done.stderr
+    assert "ranges.yaml" in done.stdout
+    assert "install hil again" in done.stdout
+
+
+def test_a_file_that_may_not_be_read_is_no_place_to_write_to(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    closed = tmp_path / "start.json"
+    closed.touch()
+    refused = partial(PermissionError, 13, "Permission denied")
+    monkeypatch.setattr(
+        os, "access", lambda path, mode, **_: mode != os.R_OK or Path(path) != closed
+    )
+    told = _as_ours(refused(str(closed)))
+    assert (type(told), told.message) == (DataError, f"cannot read {closed}: Permission denied")
+    assert told.hint == "see whether you may read it"
+    assert isinstance(_as_ours(refused(str(tmp_path / "other"))), RecordingError)
+
+
+# Every command keeps the same manners: one JSON document with `--json`, on errors too
+
+
+WITHOUT_JSON = {
+    "schema": "prints nothing but a JSON document",
+    "serve": "prints its address and then serves",
+    "schedule run": "goes on until it is ended; `schedule show` has what was done",
+    "schedule hold": "`schedule show` has it",
+    "schedule release": "`schedule show` has it",
+}
+"""Commands without `--json`, and why."""
+STARTS_SOMETHING = {"bench", "mock"}
+"""Not called with whatever word: `list` is asked for."""
+OPTIONS = {"estimator": "rigid-wls", "map_": "map.yaml", "out": "out", "reason": "because"}
+"""What required options are given, else `nothing`."""
+OURS = ("Error", "Timeout")
+CODES = set(range(12)) - {1}
+
+
+def verbs() -> Iterator[tuple[str, Any]]:
+    def walk(command: Any, words: list[str]) -> Iterator[tuple[str, Any]]:
+        for name, one in getattr(command, "commands", {}).items():
+            yield from walk(one, [*words, name])
+        if not hasattr(command, "commands"):
+            yield " ".join(words), command
+
+    yield from walk(typer.main.get_command(app), [])
+
+
+VERBS = dict(verbs())
+
+
+def has_json(command: Any) -> bool:
+    return any("--json" in getattr(p, "opts", ()) for p in command.params)
+
+
+def call(
+    monkeypatch: pytest.MonkeyPatch, *words: str, columns: int | None = None
+) -> tuple[int, str, str]:
+    """Exit code, standard output and standard error of `hil WORDS`, as the script ends it."""
+    out, err = io.StringIO(), io.StringIO()
+    if columns is not None:
+        monkeypatch.setattr(out, "isatty", lambda: True, raising=False)
+        monkeypatch.setenv("COLUMNS", str(columns))
+    with monkeypatch.context() as patch:
+        patch.setattr(sys, "argv", ["hil", *words])
+        patch.setattr(sys, "stdout", out)
+        patch.setattr(sys, "stderr", err)
+        try:
+            command_line.main()
+            code: Any = 0
+        except SystemExit as ending:
+            code = ending.code or 0
+    return code, out.getvalue(), err.getvalue()
+
+
+def words_for(verb: str) -> list[str]:
+    """The command with a word at every required place, none of which leads anywhere."""
+    if verb in STARTS_SOMETHING:
+        return [*verb.split(), "list"]
+    words = verb.split()
+    for parameter in VERBS[verb].params:
+        if parameter.required:
+            word = OPTIONS.get(parameter.name, "nothing")
+            is_argument = parameter.param_type_name == "argument"
+            words += [word] if is_argument else [parameter.opts[0], word]
+    return words
+
+
+@pytest.fixture
+def empty(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder, with nothing named by the environment."""
+    for name in ("HIL_RUNS", "HIL_REGISTRY", "HIL_STATION"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("HIL_LEASES", str(tmp_path / "leases"))
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_every_file_with_verbs_is_listed() -> None:
+    folder = Path(command_line.__file__).parent
+    files = {
+        file.stem for file in folder.glob("*.py") if "\napp = typer.Typer(" in file.read_text()
+    }
+    assert files - {"app"} == set(command_line.FILES)
+
+
+def test_commands_without_json_are_known_and_why() -> None:
+    assert {verb for verb, one in VERBS.items() if not has_json(one)} == set(WITHOUT_JSON)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("verb", sorted(set(VERBS) - set(WITHOUT_JSON) - {"doctor"}))
+def test_one_document_is_printed_when_nothing_is_there(
+    verb: str, empty: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    code, out, err = call(monkeypatch, *words_for(verb), "--json")
+    document = json.loads(out)
+    assert code in CODES, err
+    if code:
+        assert set(document["error"]) == {"kind", "message", "hint", "exit_code"}
+        assert document["error"]["exit_code"] == code
+        if document["error"]["kind"].endswith(OURS):  # typer draws a box around its own
+            assert document["error"]["message"].partition("\n")[0] in err
+        assert document["error"]["hint"]
+    else:
+        assert "error" not in document
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("verb", sorted(set(VERBS) - set(WITHOUT_JSON)))
+def test_a_mistake_in_the_command_line_is_one_document(
+    verb: str, empty: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if verb == "mock":
+        pytest.skip("hands what it does not know to the mock")
+    code, out, err = call(monkeypatch, *verb.split(), "--no-such-option", "--json")
+    told = json.loads(out)["error"]
+    assert code == told["exit_code"] == 2
+    assert "--no-such-option" in told["message"]
+    assert "--no-such-option" in err
+
+
+LISTS = ("runs", "models list", "robots", "bench list", "mock list", "plugins")
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("verb", LISTS)
+@pytest.mark.parametrize("columns", [40, 60])
+def test_lists_fit_a_narrow_terminal(
+    verb: str, columns: int, empty: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    code, out, _ = call(monkeypatch, *verb.split(), columns=columns)
+    assert code == 0
+    unbroken = [  # a word longer than the terminal, such as a path, stays whole
+        line for line in out.splitlines() if len(line) > columns and " " in line.strip()
+    ]
+    assert unbroken == []
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("verb", LISTS)
+def test_nothing_is_broken_in_a_pipe(
+    verb: str, empty: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "40")
+    code, out, _ = call(monkeypatch, *verb.split())
+    assert code == 0
+    if verb in ("bench list", "plugins", "mock list"):
+        assert max(map(len, out.splitlines())) > 40
+
+
+@pytest.mark.parametrize("verb", ["runs", "models list"])
+def test_where_nothing_is_the_next_command_is_said(
+    verb: str, empty: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    code, out, _ = call(monkeypatch, *verb.split())
+    assert code == 0
+    assert ": hil " in out
+
+
+def test_an_argument_that_may_be_left_out_says_what_then() -> None:
+    silent = [
+        f"{verb} {parameter.name}"
+        for verb, command in VERBS.items()
+        for parameter in command.params
+        if parameter.param_type_name == "argument" and not parameter.required
+        if not parameter.help
+        or not ("by default" in parameter.help or (parameter.show_default and parameter.default))
+    ]
+    assert silent == []

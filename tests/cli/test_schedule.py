@@ -348,7 +348,7 @@ def test_it_stays_until_a_signal_and_ends_in_order() -> None:
             break
     time.sleep(0.3)
     running.send_signal(signal.SIGTERM)
-    _, told = running.communicate(timeout=20)
+    _, told = running.communicate(timeout=100)
     assert running.returncode == 130
     assert "stopped between two occasions" in told
     assert "Traceback" not in told

@@ -5,20 +5,28 @@ With HIL_SCREENSHOTS=FOLDER pictures of every page are kept there, in both theme
 
 from __future__ import annotations
 
+import contextlib
+import json
 import os
+import platform
 import shutil
+import signal
+import subprocess
+import time
 from collections.abc import Iterator
+from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from hil.recording.run_directory import RunDirectory
-from tests.support.browser.bench import SMALL, STATION, opened, serving
+from hil.workflow.background_runs import Started, ticks_of
+from tests.support.browser.bench import SMALL, STATION, opened, served, serving
 from tests.support.browser.looking import contrasts_below, enter, problems_of, tab_to, until
+from tests.support.live_run import live_run
 from tests.support.waiting import until as wait
-
-pytestmark = [pytest.mark.wire, pytest.mark.timeout(240)]
 
 STOPPED_WITHIN_S = 1.0
 CLOCK = """
@@ -30,7 +38,6 @@ new MutationObserver(() => {
 }).observe(standing, { childList: true, characterData: true, subtree: true });
 """
 """When Stop is pressed and when that it has stopped is read, by the page's own clock [ms]."""
-
 PHONE = {"width": 390, "height": 844}
 DESKTOP = {"width": 1280, "height": 900}
 
@@ -67,6 +74,8 @@ def page(browser: Any) -> Iterator[Any]:
     assert said == []
 
 
+@pytest.mark.wire
+@pytest.mark.timeout(240)
 def test_by_keys_alone_a_run_is_started_answered_and_stopped_within_a_second(
     page: Any, address: str, folder: Path
 ) -> None:
@@ -125,6 +134,8 @@ def pages_of(folder: Path) -> dict[str, str]:
     }
 
 
+@pytest.mark.wire
+@pytest.mark.timeout(240)
 @pytest.mark.parametrize("theme", ["light", "dark"])
 @pytest.mark.parametrize("size", ["desktop", "phone"])
 def test_every_page_fits_can_be_read_and_says_nothing_at_the_console(
@@ -149,6 +160,8 @@ def test_every_page_fits_can_be_read_and_says_nothing_at_the_console(
     assert wrong == []
 
 
+@pytest.mark.wire
+@pytest.mark.timeout(240)
 def test_nothing_is_needed_to_read_and_to_stop_but_html(
     browser: Any, address: str, folder: Path
 ) -> None:
@@ -165,6 +178,8 @@ def test_nothing_is_needed_to_read_and_to_stop_but_html(
     context.close()
 
 
+@pytest.mark.wire
+@pytest.mark.timeout(240)
 @pytest.mark.journey
 def test_read_only_there_is_nothing_to_press(browser: Any, folder: Path) -> None:
     with serving(folder, "--specs", "specs", "--read-only") as there:
@@ -181,3 +196,290 @@ def keep(page: Any, name: str) -> None:
     if folder := os.environ.get("HIL_SCREENSHOTS"):
         page.wait_for_timeout(300)
         page.screenshot(path=str(Path(folder, f"{name}.png")), full_page=True)
+
+
+# Live runs in a browser when things are not well: many pages, a hung dashboard, a hung run
+
+
+PAGES = 10
+"""More than the six connections that a browser keeps to a host."""
+WITHIN_S = 20.0
+"""For what comes some time: computers are busy. What is promised has a bound of its own."""
+OLD_WITHIN_S = 10.0
+BANNER = "document.getElementById('old').textContent"
+SAMPLES = "Number(document.querySelector('[data-text=samples]').textContent.replace(/[^0-9]/g, ''))"
+QUESTION = ".question button[value=yes]"
+FREE = f"document.querySelector('{QUESTION}').getAttribute('aria-disabled') === 'false'"
+TELLS = """
+const refused = document.querySelector(".stopping .refused");
+new MutationObserver(() => console.log(refused.textContent)).observe(refused, { childList: true });
+"""
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, str, Any]]:
+    """A folder, the address of its dashboard and that dashboard's process."""
+    folder = tmp_path_factory.mktemp("live")
+    with served(folder) as (address, process):
+        yield folder, address, process
+
+
+@pytest.fixture
+def live_page(browser: Any, bench: Bench) -> Iterator[Any]:
+    context = browser.new_context()
+    context.set_default_timeout(20_000)
+    yield context.new_page()
+    bench[2].send_signal(signal.SIGCONT)
+    context.close()
+
+
+Bench = tuple[Path, str, Any]
+
+
+def address_of(run: Path, bench: Bench) -> str:
+    folder, address, _ = bench
+    return f"{address}runs/{run.relative_to(folder / 'runs').as_posix()}"
+
+
+def outcome(run: Path) -> Any:
+    return (RunDirectory(run).stop or {}).get("outcome")
+
+
+def refuse(status: int, route: Any) -> None:
+    route.fulfill(status=status, body="no")
+
+
+def text_of(live_page: Any, selector: str) -> str:
+    return str(live_page.evaluate("(s) => document.querySelector(s).textContent", selector))
+
+
+@pytest.mark.wire
+@pytest.mark.timeout(120)
+def test_ten_pages_of_a_run_are_kept_up_to_date_and_stop_acts_in_the_last(
+    live_page: Any, bench: Bench
+) -> None:
+    with live_run(bench[0] / "runs") as (run, _):
+        pages = [live_page, *(live_page.context.new_page() for _ in range(PAGES - 1))]
+        for one in pages:
+            one.goto(address_of(run, bench))
+        shown = pages[-1].evaluate(SAMPLES)
+        for one in pages:
+            assert one.evaluate("document.visibilityState") == "visible"
+            until(one, f"{SAMPLES} > {shown}", WITHIN_S)
+        pages[0].close()  # it held the stream for all
+        begun = time.monotonic()
+        pages[-1].click(".stopping button.stop")
+        wait(lambda: outcome(run), WITHIN_S)
+        assert time.monotonic() - begun < 2.0
+        for one in pages[1:]:
+            until(
+                one, "document.getElementById('standing').textContent.includes('stopped')", WITHIN_S
+            )
+
+
+@pytest.mark.wire
+@pytest.mark.timeout(120)
+def test_a_hung_dashboard_is_said_and_stop_is_asked_for_again(live_page: Any, bench: Bench) -> None:
+    folder, _, process = bench
+    with live_run(folder / "runs") as (run, _):
+        live_page.goto(address_of(run, bench))
+        live_page.wait_for_timeout(500)
+        assert live_page.evaluate(BANNER) == ""
+        process.send_signal(signal.SIGSTOP)
+        until(live_page, f"{BANNER}.startsWith('No news from the dashboard for ')", OLD_WITHIN_S)
+        assert live_page.evaluate("document.body.classList.contains('old')")
+        process.send_signal(signal.SIGCONT)
+        until(live_page, f"{BANNER} === ''", WITHIN_S)
+
+        process.send_signal(signal.SIGSTOP)
+        # Of a page that is being left the driver tells nothing; its console it does.
+        live_page.evaluate(TELLS)
+        with live_page.expect_console_message(lambda told: "been taken" in told.text) as refused:
+            live_page.evaluate("document.querySelector('.stopping button.stop').click()")
+            assert text_of(live_page, ".stopping .said") == "stopping …"
+        assert "“Stop” may not have been taken: no answer" in refused.value.text
+        assert "robot’s own button" in refused.value.text
+        with live_page.expect_navigation(timeout=20_000):  # asked once more, as without scripts
+            process.send_signal(signal.SIGCONT)
+        wait(lambda: outcome(run) == "stopped", WITHIN_S)
+
+
+@pytest.mark.wire
+@pytest.mark.timeout(120)
+def test_a_refusal_is_said_at_the_button_and_a_refused_stream_is_asked_for_again(
+    live_page: Any, bench: Bench
+) -> None:
+    with live_run(bench[0] / "runs") as (run, _):
+        live_page.route("**/events*", partial(refuse, 500))
+        live_page.goto(address_of(run, bench))
+        until(live_page, f"{BANNER} !== ''", WITHIN_S)
+        live_page.unroute("**/events*")
+        until(live_page, f"{BANNER} === ''", WITHIN_S)
+        for status in (401, 403, 500):
+            live_page.route("**/stop", partial(refuse, status))
+            live_page.click("main button.stop")
+            refused = f"was NOT taken: {status}"
+            told = "document.querySelector('main .stop ~ .refused').textContent"
+            until(live_page, f"{told}.includes('{refused}')", WITHIN_S)
+            live_page.unroute("**/stop")
+        live_page.click("main button.stop")
+        wait(lambda: outcome(run) == "stopped", WITHIN_S)
+
+
+@pytest.mark.wire
+@pytest.mark.timeout(120)
+def test_a_hung_run_is_told_apart_in_the_header_and_on_the_overview(
+    live_page: Any, bench: Bench
+) -> None:
+    with live_run(bench[0] / "runs") as (_, process):
+        live_page.goto(bench[1])
+        live_page.wait_for_selector(".stopping")
+        assert live_page.locator(".silent").count() == 0
+        process.send_signal(signal.SIGSTOP)
+        for where in (".stopping", ".card"):
+            live_page.wait_for_selector(f"{where} .silent", timeout=20_000)
+            assert "no news for " in live_page.inner_text(f"{where} .silent")
+        assert live_page.evaluate(BANNER) == ""  # the dashboard itself is well
+        process.send_signal(signal.SIGCONT)
+        until(live_page, "!document.querySelector('.silent')", WITHIN_S)
+
+
+@pytest.mark.wire
+@pytest.mark.timeout(120)
+def test_a_question_takes_no_answer_before_anybody_can_have_read_it(
+    live_page: Any, bench: Bench
+) -> None:
+    posted = []
+    live_page.on("request", lambda one: posted.append(one.url) if one.method == "POST" else None)
+    press = f"document.querySelector('{QUESTION}').click()"
+    with live_run(bench[0] / "runs", "Mount the weight", "twice") as (run, _):
+        # By the page's own clock: the driver may be late.
+        live_page.add_init_script(
+            "addEventListener('DOMContentLoaded', () => setTimeout(() => {"
+            f" window.free = {FREE}; {press}; }}, 300))"
+        )
+        live_page.goto(address_of(run, bench))
+        until(live_page, "'free' in window", WITHIN_S)
+        assert live_page.evaluate("window.free") is False
+        until(live_page, FREE, WITHIN_S)
+        live_page.focus(QUESTION)
+        live_page.evaluate(f"{press}; {press}; {press}")
+        first = live_page.evaluate("document.querySelector('[name=asked]').value")
+        changed = f"document.querySelector('[name=asked]').value !== '{first}'"
+        live_page.evaluate(
+            f"() => {{ const looking = setInterval(() => {{ if (!({changed})) return;"
+            f" clearInterval(looking); setTimeout(() => {{ {press}; window.late = true; }}, 300);"
+            " }, 5); }"
+        )
+        until(live_page, "window.late", WITHIN_S)
+        assert live_page.evaluate("document.activeElement.matches('button[value=yes]')")
+        until(live_page, FREE, WITHIN_S)
+        assert len(posted) == 1
+        live_page.evaluate(press)
+        live_page.wait_for_selector(".question", state="hidden")
+        assert len(posted) == 2
+
+
+@pytest.mark.wire
+@pytest.mark.timeout(120)
+def test_pause_and_resume_follow_the_run_and_the_keyboard_stays_where_it_is(
+    live_page: Any, bench: Bench
+) -> None:
+    def free(what: str) -> str:
+        return f"document.querySelector('[data-can={what}]').ariaDisabled !== 'true'"
+
+    with live_run(bench[0] / "runs") as (run, _):
+        live_page.goto(address_of(run, bench))
+        until(live_page, f"{free('pause')} && !({free('resume')})", WITHIN_S)
+        live_page.focus("[data-can=pause]")
+        live_page.keyboard.press("Enter")
+        until(live_page, f"!({free('pause')}) && {free('resume')}", WITHIN_S)
+        assert live_page.evaluate("document.activeElement.dataset.can") == "pause"
+        live_page.keyboard.press("Tab")
+        assert live_page.evaluate("document.activeElement.dataset.can") == "resume"
+        live_page.keyboard.press("Enter")
+        until(live_page, f"{free('pause')} && !({free('resume')})", WITHIN_S)
+        assert live_page.evaluate("document.activeElement.dataset.can") == "resume"
+        live_page.keyboard.press("Enter")  # nothing is asked
+        live_page.wait_for_timeout(200)
+        assert text_of(live_page, "[data-can=resume] ~ .said") == ""
+
+
+@pytest.mark.wire
+@pytest.mark.timeout(120)
+def test_what_is_being_planned_comes_and_goes_in_the_header_of_every_page(
+    live_page: Any, bench: Bench
+) -> None:
+    folder, address, _ = bench
+    live_page.goto(f"{address}models")
+    with being_planned(folder, "1", "2"):
+        until(live_page, "document.querySelector('#live .planned .how')", WITHIN_S)
+        told = " ".join(text_of(live_page, "#live .planned").split())
+        name = "asks_for_a_rather_long_while.yaml"
+        assert told == f"{name} is being planned Cancel {name}"
+        live_page.set_viewport_size({"width": 390, "height": 800})
+        box = live_page.locator("#live .planned").first.bounding_box()
+        assert box["width"] > 340, "one below the other on a phone"
+        assert box["height"] < 80
+        live_page.focus("#live .planned button")
+    until(live_page, "!document.querySelector('#live .planned')", WITHIN_S)
+    assert live_page.evaluate("document.activeElement.id") == "main"
+
+
+@pytest.mark.wire
+@pytest.mark.timeout(120)
+def test_the_keyboard_stays_at_cancel_while_a_run_is_planned(live_page: Any, bench: Bench) -> None:
+    folder, address, _ = bench
+    with being_planned(folder, "17") as planning:
+        log = folder / "runs" / ".started" / "17.log"
+        log.write_text("reads the spec\n")
+        live_page.goto(f"{address}start/17")
+        live_page.evaluate("window.same = true")
+        live_page.focus("main button.stop")
+        log.write_text("reads the spec\nplans\n")
+        until(
+            live_page, "document.getElementById('printed').textContent.includes('plans')", WITHIN_S
+        )
+        assert live_page.evaluate(
+            "window.same && document.activeElement.matches('main button.stop')"
+        )
+        planning.kill()
+        planning.wait()
+        live_page.wait_for_selector("text=did not begin")
+        assert live_page.locator("main button.stop").count() == 0
+        assert "plans" in live_page.inner_text("#printed")
+
+
+@contextlib.contextmanager
+def being_planned(folder: Path, *ids: str) -> Iterator[subprocess.Popen[bytes]]:
+    """Records of a process that seems to plan, under some names; it and they are gone after it."""
+    records = [folder / "runs" / ".started" / f"{one}.json" for one in ids]
+    records[0].parent.mkdir(parents=True, exist_ok=True)
+    with subprocess.Popen(["sleep", "60"]) as planning:
+        said = Started(
+            id="", runs="", spec="asks_for_a_rather_long_while.yaml", station="", operator="anna",
+            pid=planning.pid, ticks=ticks_of(planning.pid), time=time.time(), host=platform.node(),
+        )  # fmt: skip
+        for record in records:
+            record.write_text(json.dumps(asdict(said)))
+        try:
+            yield planning
+        finally:
+            planning.kill()
+            for record in records:
+                record.unlink()
+
+
+@pytest.mark.wire
+@pytest.mark.timeout(120)
+def test_too_many_pages_are_told_apart_from_a_dashboard_that_is_gone(
+    live_page: Any, bench: Bench
+) -> None:
+    live_page.route("**/events*", partial(refuse, 503))
+    live_page.goto(bench[1])
+    until(live_page, f"{BANNER}.startsWith('Too many browsers listen')", WITHIN_S)
+    live_page.unroute("**/events*")
+    until(live_page, f"{BANNER} === ''", WITHIN_S)
+    live_page.route("**/events*", lambda route: route.abort())
+    live_page.reload()
+    until(live_page, f"{BANNER}.startsWith('No news from the dashboard')", WITHIN_S)

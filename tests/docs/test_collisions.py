@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -26,8 +27,9 @@ def model():
 
 
 @pytest.mark.thorough
-def test_the_examples_do_what_the_page_says(model, monkeypatch, capsys) -> None:
-    monkeypatch.setattr("hil.estimators.load_model_file", lambda path: model)
+def test_the_examples_do_what_the_page_says(model, monkeypatch, capsys, tmp_path) -> None:
+    monkeypatch.chdir(tmp_path)
+    model.save(Path(re.findall(r'"(models/.+?)"', EXAMPLES[0])[0]))
     quiet = moving(*range(10, 28), noise_a=0.1, load=LOAD, samples=60)
     monkeypatch.setattr(hil, "dataset", lambda path: quiet)
     data = moving(40, noise_a=0.1, load=LOAD, samples=300)

@@ -2,19 +2,32 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
+import time
 from typing import Any
 
 import numpy as np
 import pytest
 
+from hil.core.errors import (
+    HilError,
+    RobotConnectionError,
+    RobotFault,
+    RobotTimeout,
+    StaleState,
+    exit_code_of,
+)
 from hil.core.typing import StructArray
-from hil.engine import Engine, Observers, Outcome, RunState
+from hil.engine import Engine, Observers, Outcome, RunState, watchdog
 from hil.engine.engine import CLEAR_FOR_S, TRANSITIONS
-from hil.engine.interlocks import Threshold
+from hil.engine.interlocks import InterlockContext, Interlocks, Threshold, interlocks_from_spec
 from hil.engine.signals import SignalWatch
-from tests.support.engine_parts import ListSink, engine
+from hil.robot import Capabilities, HasSpeedScaling, Segment, Status
+from hil.robot.protocol import ClockKind
+from hil.spec.interlocks import DEFAULTS, SpeedScalingInterlock
+from tests.support.engine_parts import ListSink, engine, small_plan
 from tests.support.kinematic_robot import KinematicRobot
 
 
@@ -303,3 +316,242 @@ def test_nothing_is_parked_before_the_first_motion() -> None:
     robot = KinematicRobot()
     engine(robot, ListSink()).run()
     assert "prepare -1" not in robot.calls
+
+
+# A robot whose controller moves slower than planned: noticed, held, and never measured with
+
+
+UNTIL = 10**9
+
+
+class WithSlider(KinematicRobot):
+    """Reports its slider at `share` from one block to another.
+
+    Args:
+        share: Position of the slider meanwhile.
+        first, last: The blocks it is at `share` in.
+        fault_at: The block in which the controller faults.
+    """
+
+    def __init__(
+        self, share: float = 0.7, first: int = 3, last: int = UNTIL, fault_at: int = UNTIL
+    ) -> None:
+        super().__init__()
+        self._share, self._first, self._last, self._fault_at = share, first, last, fault_at
+        self._blocks = 0
+
+    @property
+    def speed_scaling(self) -> float:
+        return self._share if self._first <= self._blocks <= self._last else 1.0
+
+    def read(self, timeout_s: float = 1.0) -> StructArray:
+        self._blocks += 1
+        if self._blocks == self._fault_at:
+            raise RobotFault("joint 1 is led beside the path", hint="raise gain")
+        return super().read(timeout_s)
+
+
+def watching(robot: object, action: str = "pause") -> Interlocks:
+    assert isinstance(robot, HasSpeedScaling)
+    spec = SpeedScalingInterlock(kind="speed_scaling", action=action)
+    return interlocks_from_spec([spec], InterlockContext(speed_scaling=lambda: robot.speed_scaling))
+
+
+def test_it_watches_by_default_robots_that_report_it() -> None:
+    assert SpeedScalingInterlock(kind="speed_scaling") in DEFAULTS
+    (off,) = interlocks_from_spec([SpeedScalingInterlock(kind="speed_scaling")]).off
+    assert off.name == "speed_scaling"
+    assert "does not report" in off.why
+
+
+def test_a_lowered_slider_holds_the_run_at_the_next_checkpoint_until_it_is_back() -> None:
+    robot, sink = WithSlider(last=40), ListSink()
+    result = engine(robot, sink, interlocks=watching(robot)).run()
+    assert result.outcome is Outcome.COMPLETED
+    states = [event for event in sink.events if event["kind"] == "state"]
+    (paused,) = [event for event in states if event["state"] == "paused"]
+    assert (
+        "interlock speed_scaling: the robot's speed scaling (speed slider) at 70 %"
+        in (paused["reason"])
+    )
+
+
+class Slow(WithSlider):
+    """Moves as slowly as its slider says."""
+
+    def start(self) -> None:
+        super().start()
+        times = min(round(1 / self._share), 1000)
+        self._queue = [point for point in self._queue for _ in range(times)]
+
+
+def test_a_move_may_take_as_long_as_the_slider_makes_it() -> None:
+    robot = Slow(0.1, first=0)
+    result = engine(robot, ListSink()).run()
+    assert result.outcome is Outcome.COMPLETED, result.reason
+
+
+@pytest.mark.thorough
+def test_a_move_that_does_not_end_at_all_ends_the_run() -> None:
+    robot = Slow(0.002, first=0)
+    result = engine(robot, ListSink()).run()
+    assert "planned to take" in result.reason
+    assert "(speed slider) is at 0%" in result.reason
+
+
+def test_with_action_stop_it_ends_the_run() -> None:
+    robot, sink = WithSlider(), ListSink()
+    result = engine(robot, sink, interlocks=watching(robot, "stop")).run()
+    assert result.outcome is Outcome.TRIPPED
+    assert "speed slider) at 70 %, at least 99 %" in result.reason
+
+
+def test_each_change_is_an_event_and_a_note() -> None:
+    robot, sink = WithSlider(last=40), ListSink()
+    result = engine(robot, sink, interlocks=watching(robot)).run()
+    changes = [event["share"] for event in sink.events if event["kind"] == "speed_scaling"]
+    assert changes == [0.7, 1.0]
+    (note,) = result.notes
+    assert "was lowered once, at device time" in note
+    assert "lowest value 70%" in note
+
+
+def test_all_of_a_measurement_is_marked_from_the_change_to_the_next_checkpoint() -> None:
+    robot, sink = WithSlider(first=5, last=6), ListSink()
+    engine(robot, sink, plan=small_plan()).run()
+    slowed = (sink.rows["status"] & int(Status.SLOWED)) != 0
+    steps = sink.rows["segment"]
+    assert slowed[steps == 2].all()  # the dwell, though the slider was back before it
+    assert not slowed[steps >= 3].any()
+
+
+@pytest.mark.parametrize("share", [1.0, 0.99, math.nan])
+def test_full_speed_and_a_speed_that_is_not_known_are_no_news(share: float) -> None:
+    robot, sink = WithSlider(share), ListSink()
+    result = engine(robot, sink, interlocks=watching(robot)).run()
+    assert result.outcome is Outcome.COMPLETED
+    assert result.notes == ()
+    assert not (sink.rows["status"] & int(Status.SLOWED)).any()
+
+
+def test_an_error_that_follows_names_the_slider() -> None:
+    robot, sink = WithSlider(0.5, fault_at=8), ListSink()
+    result = engine(robot, sink).run()
+    assert result.reason.endswith("the robot's speed scaling (speed slider) is at 50%")
+    assert result.error is not None
+    assert result.error.hint == "raise gain; set the speed slider to 100 %"
+
+
+# A process that did not run for a while: one end of the run, whatever is found wrong first
+
+
+class Suspended(KinematicRobot):
+    """This process is suspended in the middle of one of its calls.
+
+    Args:
+        seconds: For so long; only the watchdog's clock knows it.
+        error: What the driver finds wrong after it.
+        call: `read` during the first move, or `prepare` after it.
+        clock: Of the robot.
+        blocks: Read without an error after it.
+    """
+
+    slept_s = 0.0
+
+    def __init__(
+        self,
+        seconds: float,
+        error: HilError | None = None,
+        call: str = "read",
+        clock: ClockKind = "wall",
+        blocks: int = 0,
+    ) -> None:
+        super().__init__()
+        self._blocks = blocks
+        self._seconds, self._error, self._call, self._clock = seconds, error, call, clock
+
+    @property
+    def capabilities(self) -> Capabilities:
+        return Capabilities(super().capabilities.joint_names, 125.0, "current", clock=self._clock)
+
+    def read(self, timeout_s: float = 1.0) -> StructArray:
+        self._sleep("read")
+        return super().read(timeout_s)
+
+    def prepare(self, segment: Segment) -> None:
+        self._sleep("prepare")
+        super().prepare(segment)
+
+    def _sleep(self, call: str) -> None:
+        if call != self._call or self._segment != 1:
+            return
+        Suspended.slept_s += self._seconds
+        self._seconds = 0.0
+        if self._error is not None and self._blocks == 0:
+            raise self._error
+        if self._blocks > 0:
+            self._blocks -= 1
+            Suspended.slept_s += 0.4  # less than a gap
+
+
+@pytest.fixture
+def _clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(watchdog, "now_s", lambda: time.monotonic() + Suspended.slept_s)
+
+
+@pytest.mark.usefixtures("_clock")
+@pytest.mark.parametrize(
+    "error",
+    [
+        None,
+        RobotTimeout("the driver has not answered read within 2.0 s"),
+        RobotConnectionError("the arm moved and was not read for 10.0 s"),
+        RobotFault("protective stop"),
+        StaleState("the controller has not said anything"),
+    ],
+    ids=["nothing", "timeout", "connection", "fault", "stale"],
+)
+def test_it_ends_the_run_in_one_way_whatever_is_found_wrong_first(error: HilError | None) -> None:
+    robot = Suspended(10.0, error)
+    result = engine(robot, ListSink()).run()
+    assert result.outcome is Outcome.TRIPPED
+    assert result.error is not None
+    assert exit_code_of(result.error) == 5
+    assert "this process did not run for 10.0 s" in result.reason
+    assert "driver" not in result.reason
+    assert "stop" in robot.calls
+    if error is not None:
+        assert any(error.message in note for note in result.notes)
+
+
+@pytest.mark.usefixtures("_clock")
+def test_a_short_one_explains_a_silence_but_hides_no_fault() -> None:
+    silent = engine(Suspended(1.0, RobotTimeout("no answer")), ListSink()).run()
+    assert "this process did not run for 1.0 s" in silent.reason
+    fault = engine(Suspended(1.0, RobotFault("protective stop")), ListSink()).run()
+    assert fault.reason.startswith("protective stop")
+    assert "this process did not run for 1.0 s just before the end" in fault.notes
+
+
+@pytest.mark.usefixtures("_clock")
+def test_a_short_one_does_not_explain_the_silence_of_a_robot_that_was_heard_again() -> None:
+    error = RobotConnectionError("the cable was pulled")
+    result = engine(Suspended(0.6, error, blocks=4), ListSink()).run()
+    assert result.reason.startswith("the cable was pulled")
+
+
+@pytest.mark.usefixtures("_clock")
+def test_a_short_one_without_consequence_does_not_end_the_run() -> None:
+    assert engine(Suspended(1.0), ListSink()).run().outcome is Outcome.COMPLETED
+
+
+@pytest.mark.usefixtures("_clock")
+def test_a_library_that_keeps_the_interpreter_while_the_arm_stands_is_none() -> None:
+    result = engine(Suspended(10.0, call="prepare"), ListSink()).run()
+    assert result.outcome is Outcome.COMPLETED
+
+
+@pytest.mark.usefixtures("_clock")
+def test_on_a_virtual_clock_nothing_moves_meanwhile() -> None:
+    result = engine(Suspended(10.0, clock="virtual"), ListSink()).run()
+    assert result.outcome is Outcome.COMPLETED

@@ -22,6 +22,7 @@ from hil.core import errors
 from hil.maintenance.ledger import open_ledger
 from tests.support.paths import DOCS, EXPERIMENTS
 from tests.support.pipeline_parts import write_schedule
+from tests.support.recorded import model_of
 
 SCRIPTS = EXPERIMENTS / "scripts"
 PAGE = DOCS / "how-to" / "lab-scripts.md"
@@ -94,16 +95,15 @@ def test_weekly_ends_with_the_code_of_what_went_wrong(tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def bare_arm(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+def bare_arm(fourier_run: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """A model of the mock's arm, and the weighing program run with nothing mounted."""
     home = tmp_path_factory.mktemp("bare")
     told = yaml.safe_load((EXPERIMENTS / "ur5_weigh.yaml").read_text("utf-8"))
     told["loads"] = [{"mass_kg": 0}]
     told["excitation"]["file"] = str(EXPERIMENTS / told["excitation"]["file"])
     (home / "bare.yaml").write_text(yaml.safe_dump(told), "utf-8")
-    fitted = hil.run(hil.load(EXPERIMENTS / "ci_fourier_2.yaml"), runs=home / "runs")
     bare = hil.run(hil.load(home / "bare.yaml", station(home / "s.yaml", ur5={})), runs=home)
-    return fitted.models[0], bare.run
+    return model_of(fourier_run), bare.run
 
 
 @pytest.mark.thorough
@@ -156,14 +156,15 @@ def test_a_mass_that_does_not_show_was_not_checked(
     centre: tuple[float, float],
     code: int,
     said: str,
+    dwell_run: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     found = SimpleNamespace(values=[1.5], interval=[mass, *[centre] * 3], other_arm="", notes=())
     report = SimpleNamespace(error=None, run=Path("run"))
     monkeypatch.setattr("hil.api.run", lambda *given, **options: report)
-    monkeypatch.setattr("hil.estimators.load_model_file", lambda model: None)
     monkeypatch.setattr("hil.api.estimate_payload", lambda *given, **options: found)
-    result = ended("payload_check", "model", "--spec", EXPERIMENTS / "ur5_weigh.yaml")
+    spec = EXPERIMENTS / "ur5_weigh.yaml"
+    result = ended("payload_check", model_of(dwell_run), "--spec", spec)
     assert result.exit_code == code, result.output
     assert said in result.output
 
@@ -293,7 +294,7 @@ def test_wrong_input_of_a_comparison_is_told_before_anything_moves(
 
 
 def test_wrong_input_of_a_payload_check_is_told_before_anything_moves(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    dwell_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("hil.api.run", lambda *given, **options: pytest.fail("it moves"))
     spec = EXPERIMENTS / "ur5_weigh.yaml"
@@ -306,8 +307,8 @@ def test_wrong_input_of_a_payload_check_is_told_before_anything_moves(
     two = ended("payload_check", tmp_path / "none", "--spec", tmp_path / "two.yaml")
     assert two.exit_code == 2
     assert "has several loads" in two.output
-    monkeypatch.setattr("hil.estimators.load_model_file", lambda model: None)
-    no_bare = ended("payload_check", "model", "--spec", spec, "--bare", tmp_path / "none")
+    model = model_of(dwell_run)
+    no_bare = ended("payload_check", model, "--spec", spec, "--bare", tmp_path / "none")
     assert no_bare.exit_code == 8
     assert "does not exist" in no_bare.output
 

@@ -9,7 +9,7 @@ import pytest
 
 from hil.core.yaml import read_source
 from hil.importers.import_map import map_schema
-from tests.spec.test_schema import faults
+from tests.support.json_schema import faults
 from tests.support.paths import EXPERIMENTS
 
 MAPS = sorted((EXPERIMENTS / "maps").glob("*.yaml"))

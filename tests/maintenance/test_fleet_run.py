@@ -6,23 +6,40 @@ import json
 import os
 import shutil
 import signal
+import threading
+import time
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from hil.cli.app import app
-from hil.core.errors import DataError, SpecError
+from hil.core.errors import DataError, HilError, SpecError
 from hil.core.files import read_json
+from hil.engine import nobody_goes_on
+from hil.maintenance.fleet_run import Job, Manner, Workers, run_job
 from hil.maintenance.fleet_specs import robots_like, spec_for
 from hil.planning.experiment import mock_bench
 from hil.planning.robots import open_robot
-from hil.recording.run_group import FleetGroup
+from hil.recording.run_group import FleetGroup, Member
 from hil.robot.lease import leased
 from hil.spec.load import load_station, spec_from_text
+from hil.workflow.operator import OperatorChannel
 from tests.support.catalogue_runs import write_run
-from tests.support.fleet_parts import SLOW, SPEC, command, measurements, moving, told, written
+from tests.support.fleet_parts import (
+    FITTED,
+    SLOW,
+    SPEC,
+    command,
+    measurements,
+    moving,
+    told,
+    written,
+)
+from tests.support.fleet_walk import walked
 from tests.support.waiting import until
 
 
@@ -172,3 +189,101 @@ def test_an_arm_stops_when_its_fleet_is_killed_and_no_run_is_made_twice(tmp_path
     code, again = invoke("fleet", "resume", folder)
     assert (code, set(outcomes(again).values())) == (0, {"completed"})
     assert [len(list(runs.glob(f"*/{name}/*"))) for name in "ab"] == [1, 1]
+
+
+# Workers of a fleet that answer and do not go: nobody hangs on them, and signals reach them
+
+
+TOLD = {"outcome": "completed"}
+
+
+def stays(job: Job, answer: Connection) -> None:
+    """Answers, and goes by SIGTERM."""
+    answer.send(TOLD)
+    time.sleep(120)
+
+
+def stays_whatever(job: Job, answer: Connection) -> None:
+    """Answers, and goes by SIGKILL alone."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    stays(job, answer)
+
+
+def one_at_it(folder: Path) -> Workers:
+    made = FleetGroup.create(folder, "small", {"a": "hil: 1\n"}, folder / "small.yaml", "")
+    fleet = Workers(made, Manner(1))
+    fleet.start(0, Member("small", "a", {}))
+    return fleet
+
+
+@pytest.mark.thorough
+def test_a_worker_that_has_answered_and_stays_is_killed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hil.maintenance.fleet_run.worker_main", stays_whatever)
+    monkeypatch.setattr("hil.maintenance.fleet_run.GONE_S", 0.2)
+    fleet = one_at_it(tmp_path)
+    ((_, process),) = fleet.running.values()
+    assert list(fleet.answers()) == [(0, TOLD)]
+    assert process.exitcode == -signal.SIGKILL
+    assert not fleet.running
+
+
+@pytest.mark.thorough
+def test_ctrl_c_reaches_a_worker_that_has_answered(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hil.maintenance.fleet_run.worker_main", stays)
+    monkeypatch.setattr("hil.maintenance.fleet_run.GONE_S", 40.0)
+    fleet = one_at_it(tmp_path)
+    ((answer, (_, process)),) = fleet.running.items()
+    assert answer.poll(30.0)
+    threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()
+    begin = time.monotonic()
+    with fleet.signals():
+        assert list(fleet.answers()) == [(0, TOLD)]
+    assert time.monotonic() - begin < 20.0
+    assert process.exitcode == -signal.SIGTERM
+
+
+def test_no_operator_attends_the_run_of_a_worker(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    desks: list[OperatorChannel] = []
+
+    def resumed(run: Path, *, desk: OperatorChannel, **_: object) -> None:
+        desks.append(desk)
+        raise HilError("enough")
+
+    monkeypatch.setattr("hil.maintenance.fleet_run.resume_experiment", resumed)
+    (tmp_path / "start.json").write_text('{"hil_run": 1, "robot_name": "ur5"}')
+    answer = run_job(Job(tmp_path, tmp_path, "", tmp_path, before=tmp_path))
+    assert answer["error"]["message"] == "enough"
+    assert desks[0].go_on is nobody_goes_on
+
+
+# The simulated fleet from its first day to a report years later, by the how-to's commands
+
+
+WORN = ("ur5-017", 1)
+PROBE = SPEC.replace("fundamental_hz: 0.5, seed: 3", "fundamental_hz: 0.2, seed: 21")
+PROBE = PROBE.replace("trajectories: 1", "trajectories: 4")
+
+
+@pytest.mark.wire
+@pytest.mark.timeout(300)  # four runs, three pools of processes
+def test_two_robots_of_the_simulated_fleet_from_new_to_a_report(tmp_path: Path) -> None:
+    first, probe = tmp_path / "first.yaml", tmp_path / "probe.yaml"
+    first.write_text(FITTED, "utf-8")
+    probe.write_text(PROBE, "utf-8")
+    fits, probes, report = walked(tmp_path, ["ur5-01[67]"], first, probe)
+    assert [(one["robot"], one["role"]) for one in fits] == [
+        ("ur5-016", "champion"), ("ur5-017", "champion"),
+    ]  # fmt: skip
+    assert [one["robot"] for one in probes] == ["ur5-016", "ur5-017"]
+    assert not any(one["error"] for one in probes)
+    change = np.array([one["change"] for one in report["robots"]])
+    assert np.unravel_index(np.argmax(change), change.shape) == (1, WORN[1])
+    assert change[1, WORN[1]] > 1.2
+    assert all(one["age_years"] > 1 for one in report["robots"])
+    assert report["friction"] is None  # two are no fleet

@@ -23,6 +23,7 @@ from hil.core.lock_file import hold_run, is_live, run_holder
 from hil.recording.run_directory import RunDirectory
 from hil.runs.listing import describe_run, run_listings
 from tests.support.other_process import holding_run, other_process
+from tests.support.waiting import until
 
 
 def dead_within(run: Path, seconds: float) -> bool:
@@ -139,8 +140,7 @@ def test_without_locks_the_heartbeat_tells(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(lock_file, "HEARTBEAT_S", 0.02)
     with hold_run(tmp_path):
         os.utime(tmp_path / ".lock", (0, 0))
-        time.sleep(0.2)
-        assert is_live(tmp_path)
+        until(lambda: is_live(tmp_path))
         with pytest.raises(DataError), hold_run(tmp_path):
             pass
     assert not is_live(tmp_path)

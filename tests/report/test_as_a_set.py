@@ -20,7 +20,7 @@ from hil.spec.load import load_spec
 from hil.studies.figure import Curve, Figure, Look, Panel
 from hil.workflow.judging import judge_run
 from tests.excitation import test_report as test_excite_report
-from tests.maintenance import test_simulation_found as simulated
+from tests.maintenance import test_simulation as simulated
 from tests.report import test_drift_page, test_fleet_report
 from tests.support.page_rules import faults, panels
 from tests.support.report_html import Page as Html

@@ -1,52 +1,28 @@
 """Figure builders: units on every axis, every sample counted, nothing that breaks out of JSON."""
 
+from __future__ import annotations
+
 import json
 import re
+from importlib.resources import files
+from itertools import combinations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from hil.core.typing import FloatArray
 from hil.report import colours
 from hil.report import run_figures as figures
-from hil.report.curves import dressed
-from hil.report.matplotlib_figure import drawn, following_the_screen
+from hil.report.colours import PALETTE
+from hil.report.curves import binned, decimated, extremes, summarised, thinned
+from hil.report.matplotlib_figure import THEME, drawn, following_the_screen
 from hil.report.plotly_figure import figure_json, panel_of, plotly_of
 from hil.report.run_figures import FIGURES, ModelView, RunView, figures_of
-from hil.studies.figure import Axis, Band, Curve, Figure, Look, Mark, Panel
+from hil.studies.figure import Curve, Figure, Panel
+from tests.support.panels import NAMES, PANELS, A, B, T, panel
 from tests.support.report_html import array_of
-
-RNG = np.random.default_rng(0)
-T = np.arange(3000) / 125.0
-A, B = RNG.standard_normal(3000), RNG.standard_normal(3000)
-NAMES = ["one", "two"]
-SIDES = np.tile([1, -1, 0], 1000)
-BARS = tuple(Curve(n, ("J1", "J2"), tuple(v), "bars") for n, v in (("a", A[:2]), ("b", B[:2])))
-
-
-def panel(*curves, **more):
-    (one,) = dressed(Figure("f", "", "", (Panel("", "x [s]", "y [A]", curves, **more),))).panels
-    return one
-
-
-PANELS = {
-    "dwells": panel(*figures.dwell_curves(A, B, SIDES, np.arange(3000))),
-    "residual": panel(*figures.residual_curves(A, B), band=Band("noise", 0.1)),
-    "regression": panel(*figures.regression_curves(A, B)[0], corner="R = 0.5"),
-    "bars": panel(*BARS, Curve("n", ("J1", "J2"), A[:2], "ticks", look=Look(colours.LIMIT))),
-    "joints": panel(
-        *figures.joint_curves(T, np.column_stack([A, B]), NAMES), figures.limit_line(T[:2], 3.0)
-    ),
-    "grid": panel(grid=figures.counted_grid(A, B)),
-    "powers": panel(Curve("p", T[:9], 10.0 ** -T[:9]), y_axis=Axis("log", (1e-9, 1.0))),
-    "dates": panel(
-        Curve("d", ("2026-11-22 10:00:00", "2026-11-23 10:00:00"), (1.0, 2.0), "marked"),
-        x_axis=Axis("date"),
-        marks=(Mark("2026-11-22 12:00:00", "v2", "another champion"),),
-    ),
-    "ranges": panel(Curve("u", T[:4], A[:4], "ranges", np.ones(4), Look(colours.FILL, size=1))),
-    "identity": panel(Curve("c", A[:5], B[:5], "points"), Curve("y = x", style="identity")),
-}
-"""A panel with every part a description has."""
 
 
 @pytest.mark.parametrize("name", PANELS)
@@ -173,3 +149,175 @@ def test_a_picture_for_the_screen_is_rounded_and_its_texts_are_not():
     text = following_the_screen(svg)
     assert "robot 1.23456" in text
     assert 'd="M 1.23 2.00"' in text
+
+
+# Fewer points must not hide anything
+
+
+@given(st.integers(1, 5000), st.integers(0, 2**32 - 1), st.integers(4, 400))
+def test_the_extremes_and_both_ends_survive_decimation(n, seed, points):
+    values = np.random.default_rng(seed).standard_normal(n)
+    rows = extremes(values, points)
+    assert len(rows) <= points
+    assert np.all(np.diff(rows) > 0)
+    assert {0, n - 1, int(values.argmin()), int(values.argmax())} <= set(rows.tolist())
+
+
+def test_a_single_spike_in_half_a_million_samples_is_still_there():
+    y = np.zeros(560_000)
+    y[123_457] = 7.0
+    x, kept = decimated(np.arange(len(y)) / 125.0, y)
+    assert kept.max() == 7.0
+    assert x[kept.argmax()] == 123_457 / 125.0
+
+
+def test_a_gap_of_nan_stays_a_gap_and_nan_hides_no_extreme():
+    y = np.sin(np.arange(50_000) / 500.0)
+    y[20_000:30_000] = np.nan
+    y[100] = 3.0
+    y[101] = np.nan
+    x, kept = decimated(np.arange(len(y), dtype=float), y, 400)
+    assert np.nanmax(kept) == 3.0
+    assert np.isnan(kept[(x > 20_500) & (x < 29_500)]).all()
+
+
+def test_short_lines_are_left_alone():
+    y = np.array([3.0, np.nan, 1.0])
+    np.testing.assert_array_equal(extremes(y, 4), [0, 1, 2])
+
+
+def test_thinning_keeps_both_ends_and_spreads_evenly():
+    rows = thinned(10_000, 100)
+    assert (rows[0], rows[-1], len(rows)) == (0, 9_999, 100)
+    assert np.ptp(np.diff(rows)) <= 1
+
+
+def test_binned_means_and_deviations_are_those_of_scipy():
+    stats = pytest.importorskip("scipy.stats")
+    rng = np.random.default_rng(2)
+    x, y = rng.uniform(-3, 3, 4000), rng.standard_normal(4000)
+    centres, mean, spread = binned(x, y, 20)
+    expected = stats.binned_statistic(x, y, "mean", 20)
+    np.testing.assert_allclose(mean, expected.statistic)
+    np.testing.assert_allclose(spread, stats.binned_statistic(x, y, "std", 20).statistic)
+    np.testing.assert_allclose(centres, (expected.bin_edges[1:] + expected.bin_edges[:-1]) / 2)
+
+
+def test_bins_with_hardly_a_sample_are_left_out():
+    x = np.concatenate([np.zeros(50), [10.0]])
+    assert len(binned(x, x, 10, least=5)[0]) == 1
+
+
+def test_an_envelope_keeps_the_largest_and_a_trend_the_mean():
+    x = np.arange(30_000, dtype=float)
+    y = np.abs(np.sin(x))
+    y[777] = 9.0
+    assert summarised(x, y, "upper")[1].max() == 9.0
+    t, mean = summarised(x, y, "mean")
+    assert len(t) == 300
+    np.testing.assert_allclose(mean[10:], 2 / np.pi, atol=0.05)
+
+
+# The palette: read on both pages, and told apart with every common form of colour blindness
+
+
+APART = 15.0
+VISION = {
+    "normal": np.eye(3),
+    "protanopia": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216],
+                   [-0.003882, -0.048116, 1.051998]],
+    "deuteranopia": [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413],
+                     [-0.011820, 0.042940, 0.968881]],
+    "tritanopia": [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602],
+                   [0.004733, 0.691367, 0.303900]],
+}  # fmt: skip
+TO_XYZ = np.array([[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750],
+                   [0.0193339, 0.1191920, 0.9503041]])  # fmt: skip
+WHITE = np.array([0.95047, 1.0, 1.08883])
+CSS = files("hil.report").joinpath("report.css").read_text("utf-8")
+LIGHT, DARK = (
+    dict(re.findall(r"--([\w-]+): (#[0-9a-f]{6})", part)) for part in CSS.split("@media")[:2]
+)
+BEHIND = {"pass": "pass-back", "fail": "fail-back", "warn": "warn-back"}
+THEMES = {"light": (LIGHT, {c: c for c in colours.DARK}), "dark": (DARK, colours.DARK)}
+
+
+def linear(colour: str) -> FloatArray:
+    """sRGB as linear RGB."""
+    c = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255
+    return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
+
+
+def contrast(a: str, b: str) -> float:
+    """Of two colours, as WCAG defines it."""
+    low, high = sorted(float(linear(c) @ [0.2126, 0.7152, 0.0722]) for c in (a, b))
+    return (high + 0.05) / (low + 0.05)
+
+
+def lab(colour: str, vision: str) -> FloatArray:
+    """CIELAB of what is seen."""
+    seen = np.clip(np.array(VISION[vision]) @ linear(colour), 0, 1)
+    ratio = TO_XYZ @ seen / WHITE
+    small = ratio * (29 / 6) ** 2 / 3 + 4 / 29
+    f = np.where(ratio > (6 / 29) ** 3, np.cbrt(ratio), small)
+    return np.array([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
+
+
+def apart(a: str, b: str, vision: str) -> float:
+    """How far two colours are from each other."""
+    return float(np.linalg.norm(lab(a, vision) - lab(b, vision)))
+
+
+def test_measures_are_those_of_the_standards() -> None:
+    assert contrast("#000000", "#ffffff") == pytest.approx(21)
+    assert contrast("#777777", "#ffffff") == pytest.approx(4.48, abs=0.01)
+    assert lab("#ff0000", "normal") == pytest.approx([53.24, 80.09, 67.20], abs=0.05)
+    red, green = (lab(c, "deuteranopia") for c in ("#b00000", "#6a6a00"))
+    assert np.linalg.norm(red - green) < 0.5 * apart("#b00000", "#6a6a00", "normal")
+
+
+@pytest.mark.parametrize("theme", THEMES)
+def test_lines_and_marks_stand_out_from_the_page(theme: str) -> None:
+    css, of = THEMES[theme]
+    weak = {c: contrast(of[c], css["page"]) for c in colours.DARK if c != colours.FILL}
+    assert {c: x for c, x in weak.items() if x < 3.0} == {}
+
+
+@pytest.mark.parametrize("theme", THEMES)
+@pytest.mark.parametrize("vision", VISION)
+def test_colours_that_stand_together_are_told_apart(theme: str, vision: str) -> None:
+    of = THEMES[theme][1]
+    close = {
+        (a, b): round(apart(of[a], of[b], vision), 1)
+        for palette in (colours.JOINTS, PALETTE)
+        for a, b in combinations(palette, 2)
+        if apart(of[a], of[b], vision) < APART
+    }
+    assert close == {}
+
+
+@pytest.mark.parametrize("theme", THEMES)
+def test_letters_can_be_read(theme: str) -> None:
+    css = THEMES[theme][0]
+    pairs = [(text, back) for text in ("ink", "muted", "link") for back in ("page", "raised")]
+    pairs += [*BEHIND.items(), *((text, "page") for text in BEHIND)]
+    pairs += [("ink", back) for back in BEHIND.values()]
+    weak = {(a, b): contrast(css[a], css[b]) for a, b in pairs if contrast(css[a], css[b]) < 4.5}
+    assert weak == {}
+    assert contrast(css["axis"], css["page"]) >= 3.0
+
+
+@pytest.mark.parametrize("theme", THEMES)
+def test_a_picture_speaks_the_same_language(theme: str) -> None:
+    of = THEMES[theme][1]
+    told = {light: light if theme == "light" else dark for light, (_, dark) in THEME.items()}
+    assert {c: told[c.lower()].upper() for c in colours.DARK} == {c: of[c] for c in colours.DARK}
+    assert contrast(told["#000000"], told["#ffffff"]) >= 4.5
+    weak = {c: contrast(told[c.lower()], told["#ffffff"]) for c in colours.DARK}
+    assert {c: x for c, x in weak.items() if x < 3.0 and c != colours.FILL} == {}
+
+
+def test_joints_differ_in_dash_and_mark_as_well() -> None:
+    looks = zip(colours.DASHES[:6], colours.SYMBOLS[:6], strict=True)
+    assert len(set(looks)) == len(set(colours.DASHES[:6])) == len(set(colours.SYMBOLS[:6])) == 6
+    assert set(colours.DASHES) == set(colours.STROKES)

@@ -1,10 +1,15 @@
 """The summary for a terminal."""
 
+from __future__ import annotations
+
 import json
 import shlex
 import subprocess
 import sys
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 
 from hil.cli.output import print_run
@@ -12,6 +17,8 @@ from hil.core import parse_parameters
 from hil.core.errors import DataError
 from hil.core.lock_file import hold_run
 from hil.report import summary_lines
+from hil.report.model_sections import per_group, per_joint
+from hil.report.words import measure, measures, named, size
 from hil.runs.listing import list_runs
 from hil.studies.store import write_study
 from tests.support.report_runs import JOINTS, dwell_plan, fourier_plan, rows_of_plan, write_run
@@ -283,3 +290,112 @@ def test_the_summary_names_the_folder_of_a_model(tmp_path):
     run = judged(tmp_path).path
     (run / "fit" / "rigid-wls-0123456789ab" / "model.json").write_text("{}")
     assert f"model      {run / 'fit' / 'rigid-wls-0123456789ab'}" in summary_lines(run)
+
+
+# Values with units, as a person reads them in passing
+
+
+NARROW = "\u202f"
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "said"),
+    [(0.35, "A", "0.350 A"), (4.658e-5, "rad", "0.0466 mrad"), (2e-7, "m", "0.200 µm"),
+     (47137, "MB", "47.1 GB"), (0.5, "MB", "500 kB"), (999.9996, "MB", "1.00 GB"),
+     (1234.4, "N·m", f"1{NARROW}234 N·m"), (21.5625, "°C", "21.6 °C"), (0, "rad", "0 rad"),
+     (1e-5, "1", "< 0.001"), (-1e-5, "°C", "> -0.001 °C"), (3.25, None, "3.25"),
+     (-3.2e-4, "A", "-0.320 mA")],
+)  # fmt: skip
+def test_a_value_has_the_unit_that_suits_it(value: float, unit: str, said: str) -> None:
+    assert measure(value, unit) == said
+
+
+@pytest.mark.parametrize("value", [None, "x", True, [1], float("nan"), float("inf"), 10**400])
+def test_what_is_no_number_is_not_known(value: object) -> None:
+    assert measure(value, "A") == "–"
+    assert measures(value, 2.0, "A") == ("–", "2 A")
+    assert measures(2.0, value, "A") == ("2.00 A", "–")
+
+
+@pytest.mark.parametrize(
+    ("value", "limit", "unit", "said"),
+    [(4.658e-5, 0.02, "rad", ("0.0466 mrad", "20 mrad")),
+     (4.658e-5, 0.5, "rad", ("< 0.001 rad", "0.5 rad")),
+     (47137, 500, "MB", ("47.1 GB", "0.5 GB")),
+     (0.3, 150.0, "N·m", ("0.300 N·m", "150 N·m")),
+     (45.62, 142.5, "N·m", ("45.6 N·m", "142.5 N·m")),
+     (12.3, 250, "mm", ("12.3 mm", "250 mm")),
+     (45, 999.7, "N·m", ("45.0 N·m", "999.7 N·m")),
+     (45, 1047.6, "N·m", ("45.0 N·m", f"1{NARROW}047.6 N·m")),
+     (0.3, 0.0005, "rad", ("0.300 rad", "0.0005 rad")),
+     (0.1, 0.312345, "rad", ("0.100 rad", "0.312345 rad")),
+     (150.4, 150, "N·m", ("150.4 N·m", "150 N·m")),
+     (-150.04, -150, "N·m", ("-150.04 N·m", "-150 N·m")),
+     (0.02004, 0.02, "rad", ("20.04 mrad", "20 mrad")),
+     (1000.4, 1000.2, "W", (f"1{NARROW}000.4 W", f"1{NARROW}000.2 W")),
+     (0.04996, 0.05, "m", ("49.96 mm", "50 mm")),
+     (150, 150, "N·m", ("150 N·m", "150 N·m")),
+     (150 * (1 + 1e-15), 150, "N·m", ("150 N·m", "150 N·m"))],
+)  # fmt: skip
+def test_a_value_and_its_limit_are_in_one_unit(
+    value: float, limit: float, unit: str, said: tuple[str, str]
+) -> None:
+    assert measures(value, limit, unit) == said
+
+
+@pytest.mark.parametrize("value", [np.float32(3), np.float64(3), np.int64(3), 3])
+def test_numbers_of_numpy_are_numbers(value: object) -> None:
+    assert measure(value, "A") == "3.00 A"
+
+
+def test_sizes_of_files() -> None:
+    told = [size(n) for n in (0, 532, 999.6, 999_999, 46_338, 3e12)]
+    assert told == ["0 B", "532 B", "1.00 kB", "1.00 MB", "46.3 kB", f"3{NARROW}000 GB"]
+    assert [size(n) for n in (999.4, float("nan"), float("inf"))] == ["999 B", "–", "–"]
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "said"),
+    [("velocity_rad_s", 1.639e-4, ("velocity", "0.164 mrad/s")),
+     ("clearance_m", 0.021977, ("clearance", "0.0220 m")),
+     ("effort_nm", 26.226, ("effort", "26.2 N·m")),
+     ("ratio", None, ("ratio", "–"))],
+)  # fmt: skip
+def test_a_key_says_the_unit(key: str, value: object, said: tuple[str, str]) -> None:
+    assert named(key, value) == said
+
+
+# Tables of a model say what its numbers do not mean
+
+
+def fit_with(*nrmse: float) -> Any:
+    """A model with such NRMSE on its training data; everything else is 0.1."""
+    names = tuple(f"joint_{j}" for j in range(len(nrmse)))
+
+    def values(metric: str, of: str = "held_out") -> Any:
+        return np.array(nrmse if (metric, of) == ("nrmse", "trained") else [0.1] * len(nrmse))
+
+    return SimpleNamespace(
+        label="wls", unit="A", fast_part="noise", criteria=[], joint_names=names,
+        values=values, mean=lambda metric, of="held_out": 0.1,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("nrmse", "named"), [((0.1, 0.99), "joint_1"), ((0.1, 0.2), "")])
+def test_an_nrmse_of_1_is_explained_where_a_joint_is_hardly_loaded(
+    nrmse: tuple[float, ...], named: str
+) -> None:
+    note = per_joint(fit_with(*nrmse)).note
+    assert note.startswith(f"An NRMSE near 1 is no fault of the model at {named}:") is bool(named)
+
+
+@pytest.mark.parametrize(("count", "said"), [(2, True), (1, False)])
+def test_how_trajectories_are_counted_is_said_where_several_are_listed(
+    count: int, said: bool
+) -> None:
+    fit = fit_with(0.1)
+    named = [("trajectory", f"run#{n}") for n in range(count)] + [("kind", "a"), ("kind", "b")]
+    fit.held_out = {"tables": [{"by": by, "name": name, "samples": 9} for by, name in named]}
+    table = per_group(fit)
+    assert table is not None
+    assert ("counted from 0" in table.note) is said

@@ -10,7 +10,7 @@ from typing import TypeVar
 Seen = TypeVar("Seen")
 
 
-def until(look: Callable[[], Seen], within_s: float = 30.0, every_s: float = 0.005) -> Seen:
+def until(look: Callable[[], Seen], within_s: float = 60.0, every_s: float = 0.005) -> Seen:
     """Return the first true value of a look.
 
     Args:

@@ -21,8 +21,8 @@ from hil.recording.run_directory import RunDirectory
 from hil.spec.experiment import Fit
 from hil.spec.load import load_spec
 from hil.workflow.judging import TRAINING, FitNews, fit_or_continue, judge_and_study, judge_run
+from tests.support.judging import COUNTS, run_with
 from tests.support.terminal_parts import terminal_on
-from tests.workflow.test_verdict import COUNTS, run_with
 
 EPOCHS = 3
 
