@@ -1,4 +1,4 @@
-"""Progress lines: what a person reads while a run goes on."""
+"""Progress lines: what a person reads while a run, an optimisation or a study goes on."""
 
 from __future__ import annotations
 
@@ -13,6 +13,9 @@ from hil.cli.output import fold
 from hil.cli.progress import ExcitationLine, ProgressLines
 from hil.excitation.program import Advance
 from tests.support.terminal_parts import terminal_on
+
+# Progress lines: what a person reads while a run goes on
+
 
 CLEAR = "\r\x1b[K"
 

@@ -1,4 +1,4 @@
-"""The dashboard in a real browser: a run from start to Stop, by keys alone; every page looked at.
+"""The dashboard in a real browser: a run by keys alone, every page, and live runs in trouble.
 
 With HIL_SCREENSHOTS=FOLDER pictures of every page are kept there, in both themes and for a phone.
 """
@@ -27,6 +27,9 @@ from tests.support.browser.bench import SMALL, STATION, opened, served, serving
 from tests.support.browser.looking import contrasts_below, enter, problems_of, tab_to, until
 from tests.support.live_run import live_run
 from tests.support.waiting import until as wait
+
+# The dashboard in a real browser: a run from start to Stop, by keys alone; every page looked at
+
 
 STOPPED_WITHIN_S = 1.0
 CLOCK = """

@@ -1,4 +1,4 @@
-"""Live runs in the dashboard: what is shown and asked, on a real run in another process."""
+"""Live runs in the dashboard: what is shown of them, streamed and asked."""
 
 from __future__ import annotations
 
@@ -40,6 +40,9 @@ from hil.workflow.remote_control import answer_run, question_of, waiting
 from tests.support.interlock_parts import NAMES, made, rows
 from tests.support.started_parts import PROMPT, begun
 from tests.support.waiting import until
+
+# Live runs in the dashboard: what is shown and asked, on a real run in another process
+
 
 PAGE = {"accept": "text/html"}
 

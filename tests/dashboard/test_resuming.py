@@ -1,4 +1,4 @@
-"""Going on with a run from its page: where it is offered, what is started, what is refused."""
+"""Going on with a run from its page, and the confirmation that a real robot needs for it."""
 
 from __future__ import annotations
 
@@ -41,6 +41,9 @@ from tests.support.started_parts import PROMPT, WALL, begun
 from tests.support.started_parts import SPEC as ASKING
 from tests.support.waiting import until
 from tests.support.web_parts import address_of_run, dashboard, plain, require_fit_for_all, seen
+
+# Going on with a run from its page: where it is offered, what is started, what is refused
+
 
 PAGE = {"accept": "text/html"}
 

@@ -1,4 +1,4 @@
-"""What the page of a run says, and its files: none of another run, none that acts as we do."""
+"""Runs in the dashboard: their pages and files, the catalogue, the overview, damaged and none."""
 
 from __future__ import annotations
 
@@ -29,6 +29,9 @@ from tests.support.catalogue_runs import close_folders, write_run
 from tests.support.paths import EXPERIMENTS
 from tests.support.recorded import SLY, run_in
 from tests.support.web_parts import address_of_run, dashboard, failing, plain, seen
+
+# What the page of a run says, and its files: none of another run, none that acts as we do
+
 
 pytest.importorskip("starlette", reason='the dashboard: pip install "hil[web]"')
 

@@ -1,4 +1,4 @@
-"""Who may look at the dashboard, and who may act: also on loopback, where any web page can post."""
+"""The dashboard's server: who may look and act, attacks, names, ports, and its end."""
 
 from __future__ import annotations
 
@@ -37,6 +37,9 @@ from hil.dashboard.settings import Settings
 from hil.recording.run_directory import RunDirectory
 from tests.support.waiting import until
 from tests.support.web_parts import failing
+
+# Who may look at the dashboard, and who may act: also on loopback, where any web page can post
+
 
 HERE = "http://127.0.0.1:8350"
 TOKEN = "correct horse battery staple"

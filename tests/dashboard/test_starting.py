@@ -1,4 +1,4 @@
-"""Starting runs from the dashboard: what is offered, what is checked, what becomes of it."""
+"""Starting runs from the dashboard: what is offered, planned, checked, and started as checked."""
 
 from __future__ import annotations
 
@@ -44,6 +44,9 @@ from hil.workflow.background_runs import FOLDER, Started, started_runs, ticks_of
 from tests.support.started_parts import PROMPT, written
 from tests.support.waiting import until
 from tests.support.web_parts import dashboard, failing
+
+# Starting runs from the dashboard: what is offered, what is checked, what becomes of it
+
 
 PAGE = {"accept": "text/html"}
 

@@ -1,4 +1,4 @@
-"""What the engine does with a plan: every sample kept and judged, every step in its order."""
+"""The engine: every sample kept and judged, steps in order, and every way a run ends."""
 
 from __future__ import annotations
 
@@ -38,6 +38,8 @@ from hil.spec.interlocks import SpeedInterlock, TemperatureInterlock, TrackingEr
 from tests.support.engine_parts import ListSink, engine, small_plan
 from tests.support.interlock_parts import rows
 from tests.support.kinematic_robot import KinematicRobot
+
+# What the engine does with a plan: every sample kept and judged, every step in its order
 
 
 def test_the_test_robot_is_a_robot() -> None:

@@ -1,4 +1,4 @@
-"""What a spec may say about interlocks, and which watch when it says nothing."""
+"""Interlocks: what a spec says of them, what each watches, and what they cost."""
 
 from __future__ import annotations
 
@@ -50,6 +50,9 @@ from tests.support.engine_parts import ListSink, engine
 from tests.support.interlock_parts import NAMES, made, rows, spec_of, with_value
 from tests.support.kinematic_robot import KinematicRobot
 from tests.support.waiting import until
+
+# What a spec may say about interlocks, and which watch when it says nothing
+
 
 GOOD = """hil: 1
 name: demo

@@ -1,4 +1,4 @@
-"""The live view over a real socket, to a client that knows the protocol and not the SDK."""
+"""The live view of a run: its server, what viewers are shown, and of which rows."""
 
 from __future__ import annotations
 
@@ -41,6 +41,9 @@ from hil.workflow.recording import recorded_capabilities
 from tests.support.live_client import PROTOCOL, Message, Viewer
 from tests.support.paths import EXPERIMENTS
 from tests.support.waiting import until
+
+# The live view over a real socket, to a client that knows the protocol and not the SDK
+
 
 DWELL = EXPERIMENTS / "ci_dwell_12.yaml"
 JOINTS = tuple(f"joint_{i + 1}" for i in range(6))

@@ -1,4 +1,4 @@
-"""Pausing at a checkpoint and going on, asked for by people, signals and interlocks."""
+"""Runs that stand still for a while: paused, slowed by their controller, or not scheduled."""
 
 from __future__ import annotations
 
@@ -29,6 +29,8 @@ from hil.robot.protocol import ClockKind
 from hil.spec.interlocks import DEFAULTS, SpeedScalingInterlock
 from tests.support.engine_parts import ListSink, engine, small_plan
 from tests.support.kinematic_robot import KinematicRobot
+
+# Pausing at a checkpoint and going on, asked for by people, signals and interlocks
 
 
 class AtStep:

@@ -1,4 +1,4 @@
-"""The core stays light: what `import hil` and `hil --help` may not load."""
+"""Imports: light, at the top unless heavy, of names that exist, and told where missing."""
 
 from __future__ import annotations
 
@@ -16,6 +16,9 @@ import pytest
 
 from hil.core import plugins
 from tests.support.paths import EXPERIMENTS, ROOT
+
+# The core stays light: what `import hil` and `hil --help` may not load
+
 
 NOT_AT_START = (
     "torch", "mujoco", "numba", "sklearn", "scipy", "plotly", "pinocchio", "rtde_control",

@@ -1,4 +1,4 @@
-"""What is built: the source distribution makes the wheel, and that has what the checkout has."""
+"""What is built and put into a wheel has all that the checkout has."""
 
 from __future__ import annotations
 
@@ -14,6 +14,9 @@ from pathlib import Path
 import pytest
 
 from tests.support.paths import ROOT
+
+# What is built: the source distribution makes the wheel, and that has what the checkout has
+
 
 BUILD = "import sys, setuptools.build_meta as m; print(getattr(m, sys.argv[1])(sys.argv[2]))"
 AT_THE_TOP = ("pyproject.toml", "README.md", "MANIFEST.in")

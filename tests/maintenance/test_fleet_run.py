@@ -1,4 +1,4 @@
-"""A fleet's runs: who is in it, that nobody ends another's, and going on after any death."""
+"""Runs of a fleet: who is in it, workers that die or stay, and years of a simulated one."""
 
 from __future__ import annotations
 
@@ -41,6 +41,8 @@ from tests.support.fleet_parts import (
 )
 from tests.support.fleet_walk import walked
 from tests.support.waiting import until
+
+# A fleet's runs: who is in it, that nobody ends another's, and going on after any death
 
 
 def invoke(*arguments: object) -> tuple[int, dict[str, Any]]:

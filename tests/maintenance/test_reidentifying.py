@@ -1,4 +1,4 @@
-"""What is done when something is due, and what never is.
+"""Re-identification: what is done when it is due, in which order, and with which runs.
 
 Four runs are made once, of one mock: a campaign, a probe, and both again when a joint has worn.
 Occasions here take them as they are instead of moving.
@@ -48,6 +48,9 @@ from hil.recording.run_directory import RunDirectory
 from hil.spec.schedule import ScheduleSpec, load_schedule_spec
 from tests.support.pipeline_parts import CAMPAIGN, PROBE, occasion, write_schedule
 from tests.support.synthetic_motion import moving, nominal
+
+# What is done when something is due, and what never is
+
 
 WORN = {"wear": [1.0, 1.6, 1.0, 1.0, 1.0, 1.0]}
 Run = Callable[[str], Path]

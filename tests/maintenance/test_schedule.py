@@ -1,4 +1,4 @@
-"""When something is due, and when it may begin."""
+"""Schedules: when something is due, what is refused at once, and the ledger of what was done."""
 
 from __future__ import annotations
 
@@ -54,6 +54,9 @@ from hil.workflow import checks
 from tests.support.paths import EXPERIMENTS
 from tests.support.pipeline_parts import CAMPAIGN, FOURIER, PROBE, SCHEDULE, write_schedule
 from tests.support.schedule_parts import HOUR, MINUTE, MONDAY, at, never_due, schedule
+
+# When something is due, and when it may begin
+
 
 BERLIN = ZoneInfo("Europe/Berlin")
 ZONES = ("Europe/Berlin", "America/New_York", "Australia/Lord_Howe", "Asia/Kolkata", "UTC")

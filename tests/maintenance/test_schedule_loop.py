@@ -1,4 +1,4 @@
-"""The loop: what is due is done once, whatever comes between."""
+"""The loop of a schedule: what is due is done once, whatever comes between."""
 
 from __future__ import annotations
 
@@ -45,6 +45,9 @@ from tests.support.schedule_parts import (
     schedule,
     scheduler,
 )
+
+# The loop: what is due is done once, whatever comes between
+
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

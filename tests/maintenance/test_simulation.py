@@ -1,4 +1,4 @@
-"""Weeks of a schedule on the mock at once: the real loop and work, another clock and weather."""
+"""Weeks of a schedule on the mock at once, and what they show."""
 
 from __future__ import annotations
 
@@ -20,6 +20,9 @@ from hil.models.model_registry import Registry
 from hil.report.simulation_page import found, simulation_page
 from hil.spec.schedule import ScheduleSpec, load_schedule_spec
 from tests.support.pipeline_parts import SCHEDULE, write_schedule
+
+# Weeks of a schedule on the mock at once: the real loop and work, another clock and weather
+
 
 BEGIN = datetime(2026, 11, 28, 3, tzinfo=UTC)
 TINY = SCHEDULE | {

@@ -1,4 +1,4 @@
-"""Charts that call no robot changed which is not, more often than they say, and find what is."""
+"""Drift: charts over probes, their history, and what warmth does to friction."""
 
 from __future__ import annotations
 
@@ -33,6 +33,9 @@ from hil.models.model_registry import Registry
 from hil.models.registries_file import registries_of
 from tests.support.drift_parts import probe
 from tests.support.synthetic_motion import LOAD, moving
+
+# Charts that call no robot changed which is not, more often than they say, and find what is
+
 
 JOINTS = tuple(f"j{k + 1}" for k in range(6))
 NAMES = feature_names(JOINTS)

@@ -1,4 +1,4 @@
-"""Fits of a fleet: the same bits wherever, what dies is computed again, who becomes champion."""
+"""Models of a fleet: the same bits wherever they are fitted, and who stands out."""
 
 from __future__ import annotations
 
@@ -45,6 +45,9 @@ from hil.models.model_registry import Registry
 from hil.spec.experiment import ContradictedLimit, HoldOut, RmseLimit
 from hil.workflow.running import run as run_experiment
 from tests.support.fleet_parts import FITTED, written
+
+# Fits of a fleet: the same bits wherever, what dies is computed again, who becomes champion
+
 
 HOW = FitSettings("rigid-wls")
 

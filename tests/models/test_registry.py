@@ -1,4 +1,4 @@
-"""Versions never change, the log only grows, and there is always a way back."""
+"""The registry: versions, comparisons, promotions, damage, and writers that are killed."""
 
 from __future__ import annotations
 
@@ -42,6 +42,8 @@ from hil.models.version import folder_of, numbers_in
 from tests.estimators.test_sources import recording
 from tests.support.paths import FILES
 from tests.support.synthetic_motion import moving, nominal
+
+# Versions never change, the log only grows, and there is always a way back
 
 
 @pytest.fixture(scope="module")

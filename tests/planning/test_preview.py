@@ -1,4 +1,4 @@
-"""What `hil plan` shows: the preview's contract and the picture."""
+"""What `hil plan` shows: the preview, its warnings, and what the motion sweeps."""
 
 from __future__ import annotations
 
@@ -30,6 +30,9 @@ from hil.report.plan_drawing import (
 )
 from hil.robot.state import state_topic
 from tests.support.plan_parts import plan_of
+
+# What `hil plan` shows: the preview's contract and the picture
+
 
 NAMES = tuple(f"shoulder_{i}_joint" for i in range(6))
 SVG = "{http://www.w3.org/2000/svg}"

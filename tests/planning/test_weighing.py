@@ -1,4 +1,4 @@
-"""Where a plan weighs its loads: the same way for each, clear, bearable, and telling."""
+"""Where a plan weighs its loads, and the key `weigh`."""
 
 from __future__ import annotations
 
@@ -23,6 +23,9 @@ from hil.spec.experiment import ExperimentSpec
 from hil.spec.load import spec_from_text
 from tests.support.plan_parts import plan_of, samples_between
 from tests.support.weighing_parts import CYLINDER, bodies, sweep
+
+# Where a plan weighs its loads: the same way for each, clear, bearable, and telling
+
 
 HEAVY = {"mass_kg": 5, "com_m": [0, 0, 0.08]}
 

@@ -1,4 +1,4 @@
-"""Topics: one numpy dtype is the ROS 2 message definition and the CDR layout."""
+"""MCAP files: what is written is read, bit for bit, by us and by the readers of the field."""
 
 from __future__ import annotations
 
@@ -40,6 +40,9 @@ from tests.support.recorded_rows import (
     rows_of,
     six_axis_topic,
 )
+
+# Topics: one numpy dtype is the ROS 2 message definition and the CDR layout
+
 
 TIMES = [("device_time", "<f8"), ("host_time", "<f8")]
 

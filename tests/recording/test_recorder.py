@@ -1,4 +1,4 @@
-"""The recorder thread: nothing is dropped, failures surface, falling behind shows."""
+"""The recorder: nothing is dropped, parts follow each other, and death loses nothing flushed."""
 
 from __future__ import annotations
 
@@ -28,6 +28,8 @@ from hil.recording.recording_files import part_name, recordings_in
 from hil.robot.state import STATE_TOPIC, Topic
 from tests.support.recorded_rows import JOINTS, raw_topic, rows_of, six_axis_topic
 from tests.support.waiting import until
+
+# The recorder thread: nothing is dropped, failures surface, falling behind shows
 
 
 class SlowDisk(McapWriter):

@@ -1,4 +1,4 @@
-"""`hil recover`: what is whole in a torn file becomes a whole file; the rest is named."""
+"""Torn and damaged recordings: what is whole is read and recovered, the rest is named."""
 
 from __future__ import annotations
 
@@ -46,6 +46,9 @@ from tests.support.recorded_rows import (
     rows_of,
     six_axis_topic,
 )
+
+# `hil recover`: what is whole in a torn file becomes a whole file; the rest is named
+
 
 ROWS = 40
 ROWS_PER_CHUNK = 4

@@ -1,4 +1,4 @@
-"""The run directory: numbers, documents, outcomes, damage, versions, checksums."""
+"""The run directory and the folder of a group of runs: written, damaged, read again."""
 
 from __future__ import annotations
 
@@ -52,6 +52,8 @@ from tests.support.fuzzing import ANYTHING, damaged, examples, quick_folder
 from tests.support.paths import ROOT
 from tests.support.recorded_rows import record_state
 from tests.support.report_runs import dwell_plan, rows_of_plan, write_run
+
+# The run directory: numbers, documents, outcomes, damage, versions, checksums
 
 
 def started(root: Path, name: str = "fourier") -> RunDirectory:

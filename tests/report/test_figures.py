@@ -1,4 +1,4 @@
-"""Figure builders: units on every axis, every sample counted, nothing that breaks out of JSON."""
+"""Figures of pages: units, samples that are left out, colours."""
 
 from __future__ import annotations
 
@@ -23,6 +23,8 @@ from hil.report.run_figures import FIGURES, ModelView, RunView, figures_of
 from hil.studies.figure import Curve, Figure, Panel
 from tests.support.panels import NAMES, PANELS, A, B, T, panel
 from tests.support.report_html import array_of
+
+# Figure builders: units on every axis, every sample counted, nothing that breaks out of JSON
 
 
 @pytest.mark.parametrize("name", PANELS)

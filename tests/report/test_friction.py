@@ -1,4 +1,4 @@
-"""Friction on the page of a model: over velocity and at rest, against friction that is known."""
+"""Friction on the page of a model: what it draws and says, and what it must not."""
 
 from __future__ import annotations
 
@@ -33,6 +33,9 @@ from tests.support.synthetic_motion import (
     moving,
     nominal,
 )
+
+# Friction on the page of a model: over velocity and at rest, against friction that is known
+
 
 VELOCITIES = np.linspace(-1.5, 1.5, 31)[:, None] * np.ones(6)
 DEGREES = 180 / np.pi

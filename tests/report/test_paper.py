@@ -1,4 +1,4 @@
-"""Figures and tables as files for papers."""
+"""Figures and tables as files for papers: of studies, and of pages."""
 
 from __future__ import annotations
 
@@ -35,6 +35,9 @@ from tests.support.panels import PANELS
 from tests.support.paths import FILES
 from tests.support.report_runs import dwell_plan, write_run
 from tests.support.study_parts import bars, curve, result, six_panels
+
+# Figures and tables as files for papers
+
 
 SIZE = {"column": 88.0, "page": 181.0}
 TABLE = Table(

@@ -1,4 +1,4 @@
-"""The summary for a terminal."""
+"""Text of reports: the summary for a terminal, values with units, tables of models."""
 
 from __future__ import annotations
 
@@ -23,6 +23,8 @@ from hil.runs.listing import list_runs
 from hil.studies.store import write_study
 from tests.support.report_runs import JOINTS, dwell_plan, fourier_plan, rows_of_plan, write_run
 from tests.support.study_parts import result
+
+# The summary for a terminal
 
 
 def judged(tmp_path, **more):

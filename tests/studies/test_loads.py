@@ -1,4 +1,4 @@
-"""The study of loads: what it fits to, what it judges on, what it says; and its verb."""
+"""The study of loads: what it fits to, what it judges on, what it says; its tables and its verb."""
 
 from __future__ import annotations
 
@@ -38,6 +38,9 @@ from tests.support.load_parts import OFF_AXIS, ON_AXIS, recorded, sweep
 from tests.support.report_runs import dwell_plan, write_run
 from tests.support.study_parts import assert_figures_survive_json
 from tests.support.synthetic_motion import nominal, raw
+
+# The study of loads: what it fits to, what it judges on, what it says; and its verb
+
 
 SMALL: dict[str, Any] = {
     "cutoff_hz": 20.0,

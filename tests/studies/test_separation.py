@@ -1,4 +1,4 @@
-"""The static separation study: what it shows, and that its honest part is honest."""
+"""The static separation study: what it shows, and of data that are not as they should be."""
 
 from __future__ import annotations
 
@@ -40,6 +40,9 @@ from hil.studies.tasks import Task, run_tasks
 from tests.support.paths import DOCS, EXPERIMENTS
 from tests.support.separation_parts import FRICTION, SAMPLES, program, robot
 from tests.support.study_parts import assert_figures_survive_json
+
+# The static separation study: what it shows, and that its honest part is honest
+
 
 SMALL: dict[str, Any] = {
     "epochs": 40,

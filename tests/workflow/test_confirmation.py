@@ -1,4 +1,4 @@
-"""A real robot moves only when its motion was confirmed; mocks and loopback ask nothing."""
+"""A real robot moves only when its motion was confirmed: of one run, of many, of a schedule."""
 
 from __future__ import annotations
 
@@ -59,6 +59,8 @@ from tests.support.confirming import (
 )
 from tests.support.fleet_parts import SPEC as MEMBER
 from tests.support.pipeline_parts import CAMPAIGN, PROBE, SCHEDULE, write_schedule
+
+# A real robot moves only when its motion was confirmed; mocks and loopback ask nothing
 
 
 @pytest.fixture

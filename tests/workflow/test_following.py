@@ -1,4 +1,4 @@
-"""Following a run from outside: its events and view as they come, and how it ended."""
+"""Following a run from outside: its events, its live view, and how it ended."""
 
 from __future__ import annotations
 
@@ -25,6 +25,8 @@ from hil.workflow import live_state
 from hil.workflow.following import EventTail, follow, how_it_ended, newest_live, only_live
 from hil.workflow.live_state import ArmView, LiveState, read_live, standing_in
 from tests.support.interlock_parts import NAMES, made, rows
+
+# Following a run from outside: its events and view as they come, and how it ended
 
 
 def begun(tmp_path: Path, name: str = "dwell") -> RunDirectory:

@@ -1,4 +1,4 @@
-"""Verdicts: recording and models apart, and a failing fit that costs nobody else."""
+"""Verdicts: what is fitted on and judged on, under which loads, and what is never judged."""
 
 from __future__ import annotations
 
@@ -35,6 +35,9 @@ from tests.support.judging import COUNTS, LOOSE, run_with
 from tests.support.load_parts import OFF_AXIS, sweep
 from tests.support.report_runs import dwell_plan, fourier_plan, write_run
 from tests.support.synthetic_motion import dataset, nominal, raw
+
+# Verdicts: recording and models apart, and a failing fit that costs nobody else
+
 
 GAPS = "{gaps_percent: {max: 0.1}}"
 

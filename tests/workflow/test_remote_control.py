@@ -1,4 +1,4 @@
-"""What a live run does with the requests that others drop into its directory."""
+"""Pausing, stopping and answering a run that another process makes."""
 
 from __future__ import annotations
 
@@ -33,6 +33,8 @@ from hil.workflow.remote_control import (
 from tests.support.command import hil
 from tests.support.live_run import live_run
 from tests.support.waiting import until
+
+# What a live run does with the requests that others drop into its directory
 
 
 class FakeEngine:

@@ -1,4 +1,4 @@
-"""Weighing on the mock: an honest load passes on every robot, another one is found and named."""
+"""Weighing of loads: on the mock, of made-up torques, and in a sweep that is resumed."""
 
 from __future__ import annotations
 
@@ -27,6 +27,9 @@ from hil.workflow.running import RunReport
 from hil_mock_robot.embedded.robot import MockRobot
 from tests.support.resuming import Noted, Told, measured, plan_of, plan_of_spec, stopped_run
 from tests.support.weighing_parts import CYLINDER, OFF_AXIS, Mounted, Scales, bodies, sweep, weigh
+
+# Weighing on the mock: an honest load passes on every robot, another one is found and named
+
 
 MASSES = (0.5, 1, 2, 3, 5)
 
