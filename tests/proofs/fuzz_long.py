@@ -15,14 +15,14 @@ import time
 from pathlib import Path
 
 TESTS = Path(__file__).parents[1]
-FILES = (
-    "spec/test_fuzz.py",
-    "core/test_fuzz_yaml.py",
-    "recording/test_fuzz_runs.py",
-    "recording/test_fuzz_mcap.py",
-    "planning/test_file.py",
-    "recording/test_recover_property.py",
-)
+
+
+def files() -> list[Path]:
+    """Return the test files whose number of examples can be raised."""
+    uses = "from tests.support.fuzzing import"
+    return [file for file in sorted(TESTS.rglob("test_*.py")) if uses in file.read_text("utf-8")]
+
+
 ADDRESS_SPACE = 6 << 30
 """What a process may map; numpy, MuJoCo and Pinocchio alone map half of it."""
 MOST_RESIDENT = 1 << 30
@@ -33,7 +33,7 @@ def bounded() -> None:
     resource.setrlimit(resource.RLIMIT_AS, (ADDRESS_SPACE, ADDRESS_SPACE))
 
 
-def peak_of(file: str, options: list[str]) -> tuple[int, int]:
+def peak_of(file: Path, options: list[str]) -> tuple[int, int]:
     """Exit code of a test file, and the most memory it used [bytes]."""
     command = [
         sys.executable,
@@ -42,7 +42,9 @@ def peak_of(file: str, options: list[str]) -> tuple[int, int]:
         "-q",
         "--timeout",
         "7200",
-        str(TESTS / file),
+        "-m",
+        "hypothesis",
+        str(file),
         *options,
     ]
     process = subprocess.Popen(command, preexec_fn=bounded)
@@ -54,9 +56,9 @@ def peak_of(file: str, options: list[str]) -> tuple[int, int]:
 def main() -> int:
     os.environ.setdefault("HIL_FUZZ_EXAMPLES", "3000")
     failed = []
-    for file in FILES:
-        began = time.monotonic()
-        code, peak = peak_of(file, sys.argv[1:])
+    for path in files():
+        began, file = time.monotonic(), path.relative_to(TESTS).as_posix()
+        code, peak = peak_of(path, sys.argv[1:])
         took = time.monotonic() - began
         sys.stdout.write(f"{file}: exit {code}, {took:.0f} s, {peak / 1e6:.0f} MB at most\n")
         sys.stdout.flush()

@@ -9,6 +9,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from tests.proofs import fuzz_long
+from tests.support.paths import ROOT
+
 PYTEST = ("-m", "pytest", "-p", "no:cacheprovider", "--timeout", "5400", "-s")
 
 
@@ -210,7 +213,7 @@ UNITS = (
         "thousands of damaged specs, stations, runs and recordings end in one clear error",
         ("-m", "tests.proofs.fuzz_long"),
         20,
-        ("tests/**/test_fuzz*.py", "tests/planning/test_file.py", "tests/recording/test_rec*.py"),
+        tuple(file.relative_to(ROOT).as_posix() for file in fuzz_long.files()),
     ),
     _tests(
         "docs",
