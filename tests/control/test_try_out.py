@@ -1,4 +1,4 @@
-"""A model tried on a simulated arm: what is refused, what is measured, and what is said of it."""
+"""Trying a model out by hand guiding on the mock: the trial, its runs, and the command."""
 
 from __future__ import annotations
 
@@ -10,31 +10,40 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from hil import api
 from hil.arms.payload import Payload
 from hil.cli.app import app
 from hil.control import controllers, try_out
 from hil.control.controllers import Spring, spring_for
+from hil.control.hand_guiding import HandGuiding
 from hil.control.try_out import (
+    HAND_FIRMNESS,
     Arm,
+    Leading,
     improvement,
     judged,
     lead,
     leading_for,
     relief,
     require_simulated,
+    spec_of,
     track,
     trajectory_for,
     unaided,
 )
 from hil.control.try_out_report import found
-from hil.core.errors import SpecError
+from hil.control.try_out_settings import FRICTION_SHARE, HALF, RATE_HZ
+from hil.core import plugins
+from hil.core.errors import HilError, RecordingError, Rejected, SpecError
 from hil.dynamics import load_model
+from hil.planning.build import build_plan
 from hil.report.try_out_page import trial_page
 from hil.robot import Capabilities, Identity, TorqueControlled, state_dtype
 from hil.spec.station import StationRobot
 from hil.studies.result import faults_of
 from hil_mock_robot.plant.truth import draw_truth
 from tests.support.trial_parts import (
+    ELSEWHERE,
     STATION,
     bench,
     model,
@@ -44,6 +53,8 @@ from tests.support.trial_parts import (
     shorten,
     way,
 )
+
+# A model tried on a simulated arm: what is refused, what is measured, and what is said of it
 
 
 class Recording:
@@ -252,3 +263,270 @@ def test_the_command_says_who_cannot_be_tried(station) -> None:
     )  # fmt: skip
     assert isinstance(done.exception, SpecError)
     assert "torque is commanded to simulated arms alone" in str(done.exception)
+
+
+# Runs of a trial are fair to what the model is compared with, and safe for whoever leads
+
+
+class RealArm:
+    """A driver with methods of the right names, which could turn a real arm."""
+
+    def command_torque(self, torque):
+        raise AssertionError("a real arm was driven by torque")
+
+    push = command_torque
+
+
+@pytest.mark.parametrize("said", [None, False, 1, "yes"])
+def test_methods_of_the_right_names_make_no_simulated_arm(said, monkeypatch) -> None:
+    driver = type("Driver", (RealArm,), {} if said is None else {"simulated": said})
+    monkeypatch.setattr(plugins, "load", lambda group, name: driver)
+    with pytest.raises(SpecError, match="does not declare itself a simulated arm"):
+        require_simulated("real", StationRobot(driver="ur", model="ur5"))
+    robot = driver()
+    robot.identity = SimpleNamespace(model="ur5")
+    with pytest.raises(SpecError, match="no simulated arm"):
+        Arm(robot)
+
+
+@pytest.mark.thorough
+def test_every_law_has_the_same_controller_and_every_way_the_same_hand(monkeypatch) -> None:
+    given = []
+
+    def track(arm, law, ahead, asked, pd):
+        given.append(pd)
+
+    def led(arm, name, drives, asked, hand):
+        given.append(hand)
+
+    monkeypatch.setattr(try_out, "track", track)
+    monkeypatch.setattr(try_out, "lead", led)
+    pd, hand = Spring(np.ones(6), np.ones(6)), Spring(np.ones(6), np.ones(6))
+    try_out.tracked_by(model(), bench(), reference(), pd, print)
+    assert len(given) == 4
+    assert all(one is pd for one in given)
+    helped, _ = try_out.guidings(model(), bench(), FRICTION_SHARE)
+    given.clear()
+    try_out.led_with(helped, model(), bench(), way(), hand, print)
+    assert len(given) == 4
+    assert all(one is hand for one in given)
+
+
+def test_the_datasheet_carries_the_arm_too(monkeypatch) -> None:
+    given = {}
+    monkeypatch.setattr(
+        try_out, "lead", lambda arm, name, drives, way, hand: given.update({name: drives})
+    )
+    load = Payload(2.0, (0.0, 0.0, 0.05))
+    loaded = bench()
+    loaded = type(loaded)(loaded.name, loaded.robot, load)
+    try_out.led_with({}, model(), loaded, way(), Spring(np.ones(6), np.ones(6)), print)
+    q = way().start
+    true = model().robot_.with_payload(load).gravity(q[None])[0]
+    assert given[try_out.DATASHEET](q, np.zeros(6)) == pytest.approx(true)
+    assert given[try_out.NOTHING] is None
+
+
+@pytest.mark.thorough
+def test_an_arm_that_strays_from_the_hand_is_braked() -> None:
+    asked = iter(range(10**6))
+
+    def runaway(q, qd):
+        # More and more, so slowly that no limit of speed is reached.
+        return np.array([min(0.05 * next(asked), 150.0), 0, 0, 0, 0, 0])
+
+    with bench().arm(way().start) as arm:
+        soft = Spring(np.full(6, 150.0), np.full(6, 20.0))
+        run = lead(arm, "runaway", runaway, way(), soft)
+    assert run.stopped.startswith("the arm strayed from the hand")
+    assert 0.55 < np.abs(run.q - way().start).max() < 0.7
+    assert np.isnan(run.rms).all()
+
+
+def test_trembling_of_the_measured_velocity_does_not_reach_the_drives() -> None:
+    guiding = HandGuiding(model(), friction_share=FRICTION_SHARE)
+    drives = try_out.in_torque(guiding, SimpleNamespace(gains=np.ones(6)))
+    q, still = way().start, np.zeros(6)
+    for k in range(200):
+        torque = drives(q, np.full(6, 0.1 * (-1) ** k))
+    assert torque == pytest.approx(guiding(q, still))
+    assert np.abs(guiding(q, np.full(6, 0.1)) - guiding(q, still)).min() > 0.1
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("filtered", [True, False])
+def test_an_arm_comes_to_rest_behind_the_filter_alone(monkeypatch, filtered) -> None:
+    monkeypatch.setattr(try_out, "ALONE_S", 1.5)
+    if not filtered:
+        monkeypatch.setattr(try_out, "LowPass", lambda cutoff, rate: lambda qd: qd)
+    short = Leading(way().start, way().swing, 0.5)
+    hand = spring_for(model().robot_, short.start[None]).firmer(HAND_FIRMNESS)
+    helped, _ = try_out.guidings(model(), bench(), FRICTION_SHARE)
+    with bench().arm(short.start) as arm:
+        run = lead(arm, "led", try_out.in_torque(helped[try_out.FRICTION], arm), short, hand)
+    assert np.isfinite(run.rest_s) == filtered
+
+
+@pytest.mark.thorough
+def test_a_trial_of_a_seed_is_no_experiment_of_that_seed() -> None:
+    ours = spec_of("arm", Payload(), 7)
+    theirs = ours.model_copy(update={"excitation": ours.excitation.model_copy(update={"seed": 7})})
+    plans = [build_plan(spec, bench().robot, rate_hz=RATE_HZ) for spec in (ours, theirs)]
+    motions = [
+        next(step.motion.sample(100.0).q for step in plan.steps if step.kind == "trajectory")
+        for plan in plans
+    ]
+    assert motions[0].shape != motions[1].shape or np.abs(motions[0] - motions[1]).max() > 0.1
+
+
+def test_what_a_static_model_is_not_worth_is_said() -> None:
+    static = SimpleNamespace(series_kinds=(("dwell",),), estimator="static-wls")
+    assert "all that it gives ahead is gravity" in next(try_out._about(static, "a", "a"))
+    assert not list(try_out._about(model(), "a", "a"))
+
+
+def test_joints_that_are_led_less_far_are_named() -> None:
+    short = Leading(way().start, np.radians([20.0, -20, 10, 20, 20, 20]))
+    (told,) = try_out._short_ways(short, model().joint_names_)
+    assert told.endswith(f"{model().joint_names_[2]} 10°")
+    assert not list(
+        try_out._short_ways(
+            Leading(short.start, np.full(6, np.radians(20.0))), model().joint_names_
+        )
+    )
+
+
+@pytest.mark.thorough
+def test_a_hand_needs_at_most_half_of_the_effort(monkeypatch) -> None:
+    """In three quarters of the time; as `hil try-out` has it in test_trial_proof.py."""
+    monkeypatch.setattr(try_out, "ALONE_S", 0.0)
+    slow = Leading(way().start, np.full(6, np.radians(20.0)), 3.0)
+    hand = spring_for(model().robot_, slow.start[None]).firmer(HAND_FIRMNESS)
+    helped, _ = try_out.guidings(model(), bench(), FRICTION_SHARE)
+    led = []
+    for name in (try_out.NOTHING, try_out.FRICTION):
+        with bench().arm(slow.start) as arm:
+            drives = try_out.in_torque(helped[name], arm) if name in helped else None
+            led.append(lead(arm, name, drives, slow, hand))
+    made = SimpleNamespace(led=led, joint_names=model().joint_names_)
+    assert np.all(relief(made, try_out.FRICTION, try_out.NOTHING) <= HALF)
+
+
+# `hil try-out` on the command line: what it refuses, what it prints, how it ends
+
+
+@pytest.fixture
+def place():
+    """Where the station is."""
+    return short_trial()[1]
+
+
+@pytest.fixture
+def written_trial():
+    """A written_trial whose model meets all it is held to."""
+    made, _ = short_trial()
+    helped = replace(made.led[-1], effort=0.4 * made.led[0].effort)
+    return replace(made, led=(*made.led[:-1], helped), notes=())
+
+
+@pytest.fixture
+def asked(written_trial, monkeypatch):
+    """The command line, with a written_trial that is over."""
+    ended = [written_trial]
+    monkeypatch.setattr("hil.api.try_out", lambda *given, **options: ended[0])
+    given = ["try-out", str(model_folder()), "-o", "out"]
+    return ended, lambda *more: CliRunner().invoke(app, [*given, *more])
+
+
+def test_the_page_comes_first_then_a_few_lines(asked) -> None:
+    done = asked[1]()
+    lines = done.stdout.splitlines()
+    assert done.exit_code == 0
+    assert lines[0] == "report: out/report.html"
+    assert len(lines) < 10
+    assert any("at most half in every joint" in line for line in lines)
+
+
+def test_lines_are_folded_to_the_terminal(asked, monkeypatch) -> None:
+    monkeypatch.setattr("hil.cli.output.width_of", lambda stream: 60)
+    lines = asked[1]().stdout.splitlines()
+    assert max(map(len, lines)) <= 60
+
+
+def test_json_says_that_all_is_well(asked) -> None:
+    document = json.loads(asked[1]("--json").stdout)
+    assert document["report"] == "out/report.html"
+    assert document["rate_hz"] == 1000.0
+    assert document["hand"]["friction_share"] == FRICTION_SHARE
+    assert document["ok"] is True
+    assert [criterion["met"] for criterion in document["criteria"]] == [True] * 4
+
+
+def test_an_arm_that_does_not_rest_ends_with_the_code_of_a_bad_result(asked) -> None:
+    ended, ask = asked
+    restless = replace(ended[0].led[-1], rest_s=float("inf"))
+    ended[0] = replace(ended[0], led=(*ended[0].led[:-1], restless))
+    done = ask("--json")
+    assert isinstance(done.exception, Rejected)
+    assert done.exception.exit_code == 10
+    assert "take less of the friction" in done.exception.hint
+    assert json.loads(done.stdout)["ok"] is False
+
+
+def test_a_hand_that_is_not_relieved_enough_is_a_bad_result(asked) -> None:
+    ended, ask = asked
+    poor = replace(ended[0].led[-1], effort=0.6 * ended[0].led[0].effort)
+    ended[0] = replace(ended[0], led=(*ended[0].led[:-1], poor))
+    done = ask()
+    assert isinstance(done.exception, Rejected)
+    assert "60 60 60 60 60 60 % (mean 60 %): at most half in no joint" in done.stdout
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        ["--robot", "arm", "--friction-share", "1.0"],
+        ["--robot", "arm", "--payload", "heavy"],
+        ["--robot", "arm", "--payload", "50"],
+        ["--robot", "nobody"],
+        ["--robot", "real"],
+        ["--robot", "arm", "--seed", "99999999999999"],
+    ],
+)
+def test_nothing_is_made_before_all_is_checked(place, tmp_path, more) -> None:
+    given = ["try-out", str(model_folder()), "-o", str(tmp_path / "new")]
+    done = CliRunner().invoke(app, [*given, "--station", str(place / "station.yaml"), *more])
+    assert isinstance(done.exception, HilError | SystemExit)
+    assert done.exit_code
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_seed_beyond_those_there_are_is_refused() -> None:
+    with pytest.raises(SpecError, match="the seed is 99999999999999, but must be 0 to"):
+        api.try_out(model_folder(), "never-made", seed=99999999999999)
+
+
+def test_a_folder_that_exists_is_left_alone(tmp_path) -> None:
+    with pytest.raises(RecordingError, match="exists already"):
+        api.try_out(model_folder(), tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_another_individual_is_warned_of_before_anything_else(asked) -> None:
+    ended, ask = asked
+    notes = short_trial()[0].notes
+    ended[0] = replace(ended[0], notes=notes)
+    assert ask().stdout.startswith(
+        f"warning: ANOTHER INDIVIDUAL: the model was fitted on {ELSEWHERE}, and tried on arm-full-5"
+    )
+    assert notes[-1].startswith("led by less than 20°")
+
+
+@pytest.mark.thorough
+def test_another_individual_that_nobody_asked_for_is_refused(tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("HIL_STATION", raising=False)
+    with pytest.raises(SpecError, match="no station was named") as refused:
+        api.try_out(model_folder(), "new")
+    assert "--station FILE" in refused.value.hint
+    assert not (tmp_path / "new").exists()

@@ -1,22 +1,33 @@
-"""Reading YAML: scalars as YAML 1.2 has them, every mistake at its line and column."""
+"""YAML: values as written, with their places, within bounds of size, time and aliases."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+import subprocess
+import sys
+import time
+import tracemalloc
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
+from typer.testing import CliRunner
 
+from hil.arms import load_arm
+from hil.cli import completion
+from hil.cli.app import app
 from hil.core.errors import SpecError
 from hil.core.yaml import (
+    DEEPEST_LOOK,
     MOST_BYTES,
     KeyPath,
     Source,
+    as_scalar,
     is_number,
     look_into,
     parse,
@@ -25,7 +36,18 @@ from hil.core.yaml import (
     with_value,
     yaml_text,
 )
-from tests.support.fuzzing import examples
+from hil.estimators.drive_gains import read_gains
+from hil.importers.import_map import load_map
+from hil.maintenance.fleet_specs import spec_for
+from hil.spec.load import load_spec, load_station
+from hil.spec.schedule import load_schedule_spec
+from hil.spec.series import load_series_spec
+from hil.workflow.operator import load_answers
+from hil_mock_robot.ur.faults import UrFault
+from tests.support.fuzzing import ANYTHING, damaged, examples, quick_folder
+from tests.support.paths import EXPERIMENTS
+
+# Reading YAML: scalars as YAML 1.2 has them, every mistake at its line and column
 
 
 def lines_of(text: str | bytes) -> list[str]:
@@ -359,3 +381,343 @@ def test_another_value_leaves_all_else_as_written() -> None:
     assert with_value(text, "loads", "1") is with_value("[robot]", "robot", "1") is None
     with pytest.raises(ValueError, match="found undefined alias"):
         with_value("robot: *x", "robot", "1")
+
+
+# YAML whose aliases stand for far more than the file holds: every reader refuses it cheaply
+
+
+MOST_CPU_S = 0.5
+MOST_BYTES_OF_ALIASES = 10e6
+
+
+def chain(first: str, link: str, levels: int = 9) -> str:
+    """Lines of which each uses the one above ten times."""
+    lines = [f"a0: &a0 {first}"]
+    for level in range(1, levels):
+        lines.append(f"a{level}: &a{level} {link.format(', '.join([f'*a{level - 1}'] * 10))}")
+    return "\n".join(lines) + "\n"
+
+
+BOMBS = {
+    "lists": chain("[ha, ha, ha, ha, ha, ha, ha, ha, ha, ha]", "[{}]"),
+    "merge keys": chain("{k: 1}", "{{<<: [{}]}}"),
+    "one long list": f"a: &a [{'1,' * 250}]\nb: [{'*a,' * 100}]\n",
+    "one long text": f"a: &a {'x' * 20_000}\nb: [{'*a,' * 100}]\n",
+    "levels behind aliases": "a0: &a0 [1]\n"
+    + "".join(f"a{i}: &a{i} [*a{i - 1}]\n" for i in range(1, 110)),
+    "brackets": "a: " + "[" * 600,
+    "an alias in itself": "a: &a [*a]\n",
+}
+READERS: dict[str, Callable[[Path], object]] = {
+    "spec": load_spec,
+    "station": load_station,
+    "schedule": load_schedule_spec,
+    "series": load_series_spec,
+    "spec of a fleet": lambda path: spec_for(path.read_text("utf-8"), str(path), "ur5"),
+    "import map": load_map,
+    "drive gains": read_gains,
+    "answers": load_answers,
+    "description of an arm": lambda path: load_arm(str(path)),
+    "faults of a mock": UrFault.read,
+}
+
+
+def cost(read: Callable[[], object]) -> float:
+    """Return the least processor time of three readings [s]."""
+    times = []
+    for _ in range(3):
+        begin = time.process_time()
+        read()
+        times.append(time.process_time() - begin)
+    return min(times)
+
+
+def peak(read: Callable[[], object]) -> int:
+    """Return the most memory that a reading takes at once [bytes]."""
+    tracemalloc.start()
+    try:
+        read()
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def refused(read: Callable[[Path], object], path: Path) -> None:
+    with pytest.raises(SpecError, match=r"alias|levels"):
+        read(path)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("bomb", BOMBS)
+@pytest.mark.parametrize("reader", READERS)
+def test_aliases_are_refused_before_they_are_followed(
+    tmp_path: Path, reader: str, bomb: str
+) -> None:
+    path = tmp_path / "bomb.yaml"
+    path.write_text(BOMBS[bomb])
+    refused(READERS[reader], path)  # what is imported at first use is no part of the cost
+
+    assert cost(lambda: refused(READERS[reader], path)) <= MOST_CPU_S
+    assert peak(lambda: refused(READERS[reader], path)) <= MOST_BYTES_OF_ALIASES
+
+
+@pytest.mark.thorough
+def test_validate_refuses_aliases_as_cheaply_as_it_refuses_any_other_mistake(
+    tmp_path: Path,
+) -> None:
+    bomb, mistake = tmp_path / "bomb.yaml", tmp_path / "mistake.yaml"
+    bomb.write_text(BOMBS["lists"])
+    mistake.write_text("hil: 1\nname: [\n")
+
+    def validate(path: Path) -> None:
+        error = CliRunner().invoke(app, ["validate", str(path)]).exception
+        assert isinstance(error, SpecError)
+
+    validate(bomb)
+    assert cost(lambda: validate(bomb)) <= cost(lambda: validate(mistake)) + MOST_CPU_S
+    assert peak(lambda: validate(bomb)) <= MOST_BYTES_OF_ALIASES
+
+
+@pytest.mark.thorough
+def test_the_most_that_a_short_file_may_stand_for_is_cheap_as_well(tmp_path: Path) -> None:
+    """Whatever is let through is bounded too: a file just below the limit."""
+    head = f"a: &a [{'1,' * 100}]\nb: "
+    times = next(n for n in range(100, 0, -1) if _is_read(f"{head}[{'*a,' * n}]"))
+    text = f"{head}[{'*a,' * times}]"
+    assert len(text) < 1000
+
+    assert cost(lambda: parse(text, "f")) <= MOST_CPU_S
+    assert peak(lambda: parse(text, "f")) <= MOST_BYTES_OF_ALIASES
+    assert peak(lambda: look_into(text)) <= MOST_BYTES_OF_ALIASES
+
+
+def _is_read(text: str) -> bool:
+    try:
+        parse(text, "f")
+    except SpecError:
+        return False
+    return True
+
+
+@pytest.mark.parametrize("keys", [0, 60])
+def test_aliases_of_a_hundred_robots_are_read(keys: int) -> None:
+    """What people use aliases for: one entry of a station, many times."""
+    options = "".join(f", k{i}: {i}" for i in range(keys))
+    one = f"{{driver: mock, model: ur5, options: {{seed: 1{options}}}, gains: [1, 2, 3, 4, 5, 6]}}"
+    text = f"robots:\n  r0: &robot {one}\n" + "".join(f"  r{i}: *robot\n" for i in range(1, 100))
+
+    robots = parse(text, "f").data["robots"]
+    assert len(robots) == len(look_into(text)["robots"]) == 100
+    assert robots["r99"]["gains"] == [1, 2, 3, 4, 5, 6]
+
+
+# YAML that is only looked at
+
+
+LINKED = "- &a0 [x]\n" + "".join(f"- &a{i} [*a{i - 1}]\n" for i in range(1, 200))
+LAUGHS = "a0: &a0 {k: 1}\n" + "".join(
+    f"a{i}: &a{i} {{<<: [{', '.join([f'*a{i - 1}'] * 10)}]}}\n" for i in range(1, 10)
+)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a: [1", b"a: \xff", "!!python/object/apply:os.getcwd []", "a: \x00", "a: \ud800",
+        '!!int ""', "!!bool x", "!!timestamp x", "a: 2020-02-30", "[a]: 1", "=", "[" * 5000,
+        "- " * 5000, LINKED, LAUGHS, "&a [*a]",
+    ],
+)  # fmt: skip
+def test_what_is_no_document_is_one_kind_of_error(text: str | bytes) -> None:
+    for compiled in (True, False):
+        with pytest.MonkeyPatch.context() as patch:
+            if not compiled:
+                patch.delattr(yaml, "CSafeLoader", raising=False)
+            with pytest.raises(ValueError, match="YAML"):
+                look_into(text)
+
+
+def test_brackets_without_end_do_not_end_the_process() -> None:
+    code = (
+        "from hil.core.yaml import look_into\n"
+        "for text in ('[' * 60000, '[' * 60000 + ']' * 60000, '{a: ' * 60000, '- ' * 60000):\n"
+        "    try: look_into(text)\n"
+        "    except ValueError as error: assert 'more than 100 levels' in str(error), error\n"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_what_people_write_is_read() -> None:
+    assert look_into("a: &a [1]\nb: *a\nc: {<<: {d: 2}}") == {"a": [1], "b": [1], "c": {"d": 2}}
+    deep = look_into("[" * DEEPEST_LOOK + "]" * DEEPEST_LOOK)
+    assert str(deep) == "[" * DEEPEST_LOOK + "]" * DEEPEST_LOOK
+
+
+def test_files_from_elsewhere_are_refused_however_deep(tmp_path: Path) -> None:
+    deep = tmp_path / "deep.yaml"
+    deep.write_text("[" * 5000)
+    said = r"deep\.yaml: .*more than 100 levels"
+    with pytest.raises(SpecError, match=said):
+        load_arm(str(deep))
+    with pytest.raises(SpecError, match=said):
+        UrFault.read(deep)
+    with pytest.raises(SpecError, match=said):
+        spec_for(deep.read_text(), str(deep), "ur5")
+    assert as_scalar("[" * 5000).startswith('"[')
+
+
+def test_robots_of_a_station_that_is_none_are_not_offered(tmp_path: Path) -> None:
+    station = tmp_path / "station.yaml"
+    station.write_bytes(b"robots: {one: 1}")
+    context = SimpleNamespace(params={"station": station})
+    complete = completion._completion_of(completion.BY_NAME["robot"])
+    assert complete(context, "") == ["one"]
+    station.write_bytes(b"robots: {\xff: 1}")
+    assert complete(context, "") == []
+
+
+# Specs, stations and import maps that were right once: a document or a refusal, quickly
+
+
+ROOT = EXPERIMENTS
+Load = Callable[[Path], object]
+
+
+def shipped(pattern: str) -> list[bytes]:
+    return [path.read_bytes() for path in sorted(ROOT.glob(pattern))]
+
+
+KINDS: dict[str, tuple[list[bytes], Load]] = {
+    "spec": (shipped("*.yaml"), load_spec),
+    "station": (shipped("stations/*.yaml"), load_station),
+    "series": ([text for text in shipped("*.yaml") if b"\nhil_series:" in text], load_series_spec),
+    "map": (shipped("maps/*.yaml"), load_map),
+}
+kinds = pytest.mark.parametrize("kind", sorted(KINDS))
+
+
+def refusal(content: bytes, load: Load) -> list[str]:
+    """The lines of the SpecError that loading ends with; none where it succeeds."""
+    with quick_folder() as folder:
+        path = folder / "f.yaml"
+        path.write_bytes(content)
+        try:
+            load(path)
+        except SpecError as error:
+            lines = str(error).partition("\n  →")[0].replace(str(folder) + "/", "").splitlines()
+            assert lines
+            assert all(line.startswith(("f.yaml:", "… and ")) for line in lines), lines
+            return lines
+    return []
+
+
+def as_yaml(document: Any) -> bytes:
+    text: str = yaml.safe_dump(document, allow_unicode=True)
+    return text.encode("utf-8", "surrogatepass")
+
+
+@pytest.mark.thorough
+@kinds
+@examples(30)
+@given(data=st.data())
+def test_damaged_document(kind: str, data: st.DataObject) -> None:
+    texts, load = KINDS[kind]
+    documents = [parse(text, "f").data for text in texts]
+    refusal(as_yaml(data.draw(damaged(documents))), load)
+
+
+@kinds
+@examples(15)
+@given(data=st.data())
+def test_any_document_in_its_place(kind: str, data: st.DataObject) -> None:
+    refusal(as_yaml(data.draw(ANYTHING)), KINDS[kind][1])
+
+
+@pytest.mark.thorough
+@kinds
+@examples(25)
+@given(data=st.data())
+def test_text_with_bytes_replaced(kind: str, data: st.DataObject) -> None:
+    texts, load = KINDS[kind]
+    text = data.draw(st.sampled_from(texts))
+    start = data.draw(st.integers(0, len(text)))
+    end = data.draw(st.integers(start, min(start + 20, len(text))))
+    refusal(text[:start] + data.draw(st.binary(max_size=12)) + text[end:], load)
+
+
+BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
+    f"{b}: &{b} [{', '.join([f'*{a}'] * 9)}]\n" for a, b in zip("abcdefgh", "bcdefghi", strict=True)
+)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    "content",
+    [
+        BOMB,
+        "a: &a [*a]\n",
+        "[" * 100_000,
+        "{a: " * 50_000,
+        "- " * 100_000,
+        "a:\n" + "".join(" " * i + "b:\n" for i in range(1, 600)),
+        "&a " * 1000,
+        "? " * 5000,
+        "!!python/object/apply:os.system [true]\n",
+        "x: " + "9" * 200_000,
+        "x: 1e" + "9" * 1000,
+        "'" * 200_001,
+        "a: |\n" + " x\n" * 60_000,
+        "\ufeff" * 1000,
+        "%YAML " + "9" * 5000 + ".1\n---\n",
+        "- &a" + "\n- *a" * 60_000,
+        "a" * 300_000,
+    ],
+    ids=lambda text: text[:12].replace("\n", " "),
+)
+def test_what_was_made_to_break_a_parser(content: str) -> None:
+    assert refusal(content.encode(), load_spec)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('"2:7"', '"1:99999999999"'),
+        ('"2:7"', '"7:2"'),
+        ('"2:7"', f'"1:{"9" * 5000}"'),
+        ('"2:7"', '"0:5"'),
+        ("635:3510", "9:2"),
+        ("635:3510", "1:" + "9" * 5000),
+        ("635:3510", "١:٢"),
+    ],
+    ids=lambda text: text[:30],
+)
+def test_ranges_of_a_map_that_are_none(old: str, new: str) -> None:
+    text = (ROOT / "maps" / "ur10e_columns.yaml").read_text("utf-8")
+    assert old in text
+    assert len(refusal(text.replace(old, new, 1).encode(), load_map)) == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new"),
+    [
+        ("ci_fourier_2", "fundamental_hz: 0.2", "fundamental_hz: 1e-9"),
+        ("ci_fourier_2", "fundamental_hz: 0.2", "fundamental_hz: 1e300"),
+        ("ci_fourier_2", "fundamental_hz: 0.2", "fundamental_hz: 0.01\n  periods: 1000"),
+        ("ci_fourier_2", "fundamental_hz: 0.2", "fundamental_hz: 1e400"),
+        ("ci_dwell_12", "waypoints: 12", "waypoints: 1000000000000"),
+        ("ci_dwell_12", "waypoints: 12", "waypoints: 1e400"),
+        ("ci_dwell_12", "dwell_s: 0.095", "dwell_s: 1e12"),
+        ("ci_dwell_12", "samples_per_dwell: 10", "samples_per_dwell: 10000000"),
+        ("ci_dwell_12", "waypoints: 12", "waypoints: 12\n  settle_timeout_s: 1e300"),
+        ("ci_dwell_12", "excitation:", "record: {rotate_mb: 1e400}\nexcitation:"),
+        ("ci_dwell_12", "duration_s: 5", "duration_s: 1e12"),
+        ("ci_dwell_12", "robot:", "loads: [{mass_kg: 1, com_m: [1e300, 0, 0]}]\nrobot:"),
+    ],
+    ids=lambda text: text[-24:].replace("\n", " "),
+)
+def test_programs_without_a_sensible_end_are_refused_before_anything_is_planned(
+    name: str, old: str, new: str
+) -> None:
+    text = (ROOT / f"{name}.yaml").read_text("utf-8")
+    assert old in text
+    assert len(refusal(text.replace(old, new, 1).encode(), load_spec)) == 1

@@ -31,7 +31,7 @@ from hil.export.json_export import document_of, export_json, robot_part
 from hil.export.json_friction import adapted, library_term
 from hil.export.json_parameters import Spread, of_base
 from hil.export.json_reader import rigid_torque
-from tests.dynamics.test_momentum import SLIDING
+from tests.dynamics.test_model import SLIDING
 from tests.support.dynamics_arms import motion, urdf, written
 from tests.support.json_models import KINDS, fitted
 from tests.support.paths import DOCS

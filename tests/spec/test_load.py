@@ -1,4 +1,4 @@
-"""Loading specs and stations: overrides, paths, identity, immutability."""
+"""Loading specs, stations and series: overrides, paths, identity, and what goes together."""
 
 from __future__ import annotations
 
@@ -22,11 +22,15 @@ from hil.spec import (
 )
 from hil.spec.experiment import Dwell, Fourier
 from hil.spec.schedule import is_schedule
-from hil.spec.series import is_series
+from hil.spec.series import is_series, load_series_spec
 from hil.spec.station import StationRobot
 from hil.workflow.robot_status import bench
+from hil.workflow.series import load_series
 from hil_drivers.cia402.options import options_of
 from tests.support.paths import EXPERIMENTS
+
+# Loading specs and stations: overrides, paths, identity, immutability
+
 
 SHIPPED = [
     path
@@ -34,7 +38,6 @@ SHIPPED = [
     if not (is_series(path) or is_schedule(path))
 ]
 STATIONS = {"lab6_can": "lab6_can_mock.yaml", "ur5-001": "fleet_mock.yaml"}
-
 GOOD = """\
 hil: 1
 name: demo
@@ -42,7 +45,6 @@ robot: ur5
 excitation: {kind: dwell, waypoints: 20}
 loads: [{mass_kg: 1}, {mass_kg: 3}]
 """
-
 BENCH = """\
 hil_station: 1
 robots:
@@ -56,8 +58,6 @@ def dwell_of(spec: ExperimentSpec) -> Dwell:
 
 
 # --- shipped files -------------------------------------------------------------------------
-
-
 def test_the_dwell_experiment_is_the_programme_of_the_paper() -> None:
     spec = load_spec(EXPERIMENTS / "ur5_dwell_650.yaml")
     dwell = dwell_of(spec)
@@ -124,8 +124,6 @@ def test_the_mock_station_has_two_makes_of_arm() -> None:
 
 
 # --- values --------------------------------------------------------------------------------
-
-
 def test_a_spec_cannot_be_changed() -> None:
     spec = spec_from_text(GOOD)
 
@@ -151,8 +149,6 @@ def test_a_solid_ball_and_a_thin_rod_are_bodies_a_board_with_negative_moment_is_
 
 
 # --- overrides -----------------------------------------------------------------------------
-
-
 def test_overrides_reach_into_mappings_and_lists() -> None:
     spec = spec_from_text(
         GOOD,
@@ -199,8 +195,6 @@ def test_an_override_that_is_no_yaml_is_refused() -> None:
 
 
 # --- files named in a spec -----------------------------------------------------------------
-
-
 def test_a_file_of_poses_is_looked_for_beside_the_spec(tmp_path: Path) -> None:
     (tmp_path / "poses.csv").write_text("0,0,0,0,0,0\n")
     path = tmp_path / "spec.yaml"
@@ -218,8 +212,6 @@ def test_a_missing_file_of_poses_is_an_error_of_the_spec(tmp_path: Path) -> None
 
 
 # --- hash ----------------------------------------------------------------------------------
-
-
 def test_the_hash_does_not_depend_on_how_a_spec_is_written() -> None:
     rewritten = """\
 # a comment
@@ -268,8 +260,6 @@ def test_a_file_of_poses_that_went_away_has_no_hash(tmp_path: Path) -> None:
 
 
 # --- stations ------------------------------------------------------------------------------
-
-
 def station_lines(tmp_path: Path, text: str) -> list[str]:
     path = tmp_path / "bench.yaml"
     path.write_text(text)
@@ -327,3 +317,216 @@ def test_a_robot_the_station_lacks_is_guessed(tmp_path: Path) -> None:
     with pytest.raises(SpecError, match="has no robot 'urr5'") as caught:
         resolve_robot(spec, load_station(path))
     assert caught.value.hint.startswith("did you mean 'ur5'?")
+
+
+# Series files: what is wrong with them, with file, line and column, and with what they name
+
+
+SPEC = """
+hil: 1
+name: small
+robot: ur5
+excitation: {kind: dwell, waypoints: 4}
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "small.yaml").write_text(SPEC, "utf-8")
+    return tmp_path
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "series.yaml"
+    path.write_text("hil_series: 1\nname: all\n" + text, "utf-8")
+    return path
+
+
+def refusal(path: Path) -> list[str]:
+    with pytest.raises(SpecError) as caught:
+        load_series(path)
+    return str(caught.value.message).splitlines()
+
+
+def test_paths_start_at_the_folder_of_the_series(folder: Path) -> None:
+    path = written(folder, "series: [{spec: small.yaml}]\n")
+    assert load_series_spec(path).series[0].spec == str((folder / "small.yaml").resolve())
+
+
+def test_the_station_is_the_one_named_last_before_the_run(folder: Path) -> None:
+    mock, fast = EXPERIMENTS / "stations" / "mock.yaml", EXPERIMENTS / "stations" / "mock_1khz.yaml"
+    entries = f"[{{spec: small.yaml}}, {{spec: small.yaml, station: {fast}}}]"
+    path = written(folder, f"station: {mock}\nseries: {entries}\n")
+    assert [e.station_source for e in load_series(path).experiments] == [str(mock), str(fast)]
+    named = load_series(path, fast).experiments
+    assert {experiment.station_source for experiment in named} == {str(fast)}
+
+
+def test_a_file_that_is_missing_is_told_with_its_place_and_a_guess(folder: Path) -> None:
+    path = written(folder, "series:\n  - {spec: smal.yaml}\n")
+    (line,) = refusal(path)
+    assert line.startswith(f"{path}:4:12: series.0.spec: there is no file")
+    assert line.endswith(f"did you mean {folder}/small.yaml?")
+
+
+def test_everything_that_is_wrong_is_told_at_once(folder: Path) -> None:
+    path = written(folder, "seires: []\nseries:\n  - {spec: none.yaml, sation: a.yaml}\n")
+    told = refusal(path)
+    assert any("3:1: seires: unknown key; did you mean 'series'?" in line for line in told)
+    assert any("sation: unknown key; did you mean 'station'?" in line for line in told)
+    assert any("series.0.spec: there is no file" in line for line in told)
+
+
+def test_what_is_wrong_with_any_experiment_is_told_with_that_file(folder: Path) -> None:
+    for name in ("one", "two"):
+        (folder / f"{name}.yaml").write_text(SPEC.replace("dwell", f"dwel_{name}"), "utf-8")
+    told = refusal(written(folder, "series: [{spec: one.yaml}, {spec: two.yaml}]\n"))
+    assert [Path(line.partition(":")[0]).name for line in told] == ["one.yaml", "two.yaml"]
+
+
+def test_a_series_of_nothing_is_none(folder: Path) -> None:
+    assert "must not be empty" in refusal(written(folder, "series: []\n"))[0]
+
+
+def test_a_series_is_told_from_an_experiment(folder: Path) -> None:
+    path = written(folder, "series: [{spec: small.yaml}]\n")
+    assert is_series(path)
+    assert not is_series(folder / "small.yaml")
+    assert not is_series(folder / "missing.yaml")
+    with pytest.raises(SpecError, match="this file is a series of experiments, but an experiment"):
+        load_spec(path)
+    with pytest.raises(SpecError, match="this file is an experiment, but a series"):
+        load_series_spec(folder / "small.yaml")
+
+
+@pytest.mark.parametrize(
+    "path",
+    [path for path in sorted(EXPERIMENTS.glob("*.yaml")) if is_series(path)],
+    ids=lambda path: path.stem,
+)
+def test_every_shipped_series_runs_on_mocks(path: Path) -> None:
+    series = load_series(path)
+    assert {each.robot.driver for each in series.experiments} == {"mock"}
+    assert series.spec.name == path.stem.replace("_", "-")
+
+
+def test_a_series_that_names_itself_is_no_experiment(folder: Path) -> None:
+    (line,) = refusal(written(folder, "series: [{spec: series.yaml}]\n"))
+    assert "series.yaml:3:17: series.0.spec: " in line
+    assert line.endswith("series.yaml is a series of experiments, but an experiment is needed here")
+
+
+def test_a_missing_file_and_files_of_another_kind_are_told_at_once_by_line(folder: Path) -> None:
+    mock = EXPERIMENTS / "stations" / "mock.yaml"
+    entries = ("none.yaml", "series.yaml", f"small.yaml, station: {folder / 'small.yaml'}", mock)
+    path = written(folder, "series:\n" + "".join(f"  - {{spec: {one}}}\n" for one in entries))
+    missing, nested, station, spec = refusal(path)
+    assert "series.0.spec: there is no file" in missing
+    assert "series.yaml:5:12: series.1.spec: " in nested
+    assert station.endswith("small.yaml is an experiment, but a station is needed here")
+    assert spec.endswith("mock.yaml is a station, but an experiment is needed here")
+
+
+def test_no_list_of_keys_is_pointed_at_where_a_file_name_is_wrong(folder: Path) -> None:
+    known = "`hil explain series"
+    for entry, hint in (("spec: none.yaml", ""), ("spec: small.yaml, to: 1", known)):
+        with pytest.raises(SpecError) as caught:
+            load_series(written(folder, f"series: [{{{entry}}}]\n"))
+        assert (caught.value.hint or "")[: len(known)] == hint
+
+
+def test_a_key_that_is_nothing_like_the_known_ones_is_no_slip_of_one(folder: Path) -> None:
+    (line,) = refusal(written(folder, "series: [{spec: small.yaml, rate: 1}]\n"))
+    assert "did you mean" not in line
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"hil_series: 1\nname: \xff\n", "f.yaml:2:7: byte 0xff is not UTF-8"),
+        (b"hil_series: 2\nname: a\nseries: []\n", "reads format 1, not 2"),
+        (
+            b"hil_series: 1\nname: a\nseries: [{spec: x, to: 1}]\n",
+            "series.0.to: unknown key",
+        ),
+        (b"hil_series: 1\nname: a\nseries: &a [*a]\n", "an alias contains itself"),
+        (b"", "the file is empty"),
+    ],
+)
+def test_what_is_no_series_is_told_by_line(folder: Path, content: bytes, words: str) -> None:
+    path = folder / "f.yaml"
+    path.write_bytes(content)
+    assert words in "\n".join(refusal(path))
+
+
+# The key `validate.under_loads` and its criteria: what goes together, and what it holds out
+
+
+FOURIER = "hil: 1\nname: a\nrobot: ur5\nexcitation: {kind: fourier, trajectories: 8}\n"
+LOADS = "loads: [{mass_kg: 0}, {mass_kg: 1}, {mass_kg: 3}]\n"
+FIT = "fit: [{estimator: rigid-wls}]\n"
+ASKED = "validate: {under_loads: true, hold_out: {trajectories: 2}}\n"
+
+
+def spec(*lines: str) -> ExperimentSpec:
+    return spec_from_text("".join(lines))
+
+
+def test_every_load_but_the_first_is_held_out_with_the_motions() -> None:
+    held = spec(FOURIER, LOADS, FIT, ASKED).hold_out
+    assert (held.loads, held.trajectories) == ((1, 2), 2)
+
+
+def test_a_quarter_of_the_motions_is_held_out_unless_told() -> None:
+    assert spec(FOURIER, LOADS, FIT, "validate: {under_loads: true}\n").hold_out.trajectories == 2
+
+
+def test_without_it_is_held_out_what_is_written() -> None:
+    held = spec(FOURIER, LOADS, FIT, "validate: {hold_out: {loads: [2]}}\n").hold_out
+    assert (held.loads, held.trajectories) == ((2,), None)
+
+
+@pytest.mark.parametrize(
+    ("lines", "where", "told"),
+    [
+        ((FOURIER, FIT, ASKED), "validate.under_loads", "`loads` needs a second"),
+        ((FOURIER, "loads: [{mass_kg: 3}]\n", FIT, ASKED), "validate.under_loads", "a second"),
+        ((FOURIER, LOADS, ASKED), "validate.under_loads", "`fit` is empty"),
+        (
+            (FOURIER.replace("8", "2"), LOADS, FIT, "validate: {under_loads: true}\n"),
+            "excitation.trajectories",
+            "at least 3",
+        ),
+        (
+            (FOURIER.replace("fourier, trajectories: 8", "dwell"), LOADS, FIT,
+             "validate: {under_loads: true}\n"),
+            "validate.under_loads",
+            "a dwell program has none",
+        ),
+        (
+            (FOURIER, LOADS, FIT, "validate: {under_loads: true, hold_out: {loads: [2]}}\n"),
+            "validate.hold_out.loads",
+            "leave this away",
+        ),
+        (
+            (FOURIER, LOADS, FIT, "validate: {under_loads: true, hold_out: {trajectories: 0}}\n"),
+            "validate.hold_out.trajectories",
+            "holds out nothing",
+        ),
+        (
+            (FOURIER, LOADS, FIT, "accept: {load_error_ratio: {max: 1.5}}\n"),
+            "accept.load_error_ratio",
+            "only with validate",
+        ),
+        (
+            (FOURIER, LOADS, FIT, "accept: {contradicted_loads: {max: 0}}\n"),
+            "accept.contradicted_loads",
+            "only with validate",
+        ),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_is_said_where_it_is(lines: tuple[str, ...], where: str, told: str) -> None:
+    with pytest.raises(SpecError) as failed:
+        spec(*lines)
+    assert where in str(failed.value)
+    assert told in str(failed.value)

@@ -11,7 +11,7 @@ from hil.data import Conditions, Dataset
 from hil.dynamics import RobotModel, load_model
 from hil.estimators import estimator
 from hil.estimators.base import RobotEstimator
-from tests.dynamics.test_momentum import SLIDING
+from tests.dynamics.test_model import SLIDING
 
 ARMS = ("tx40@motors", "panda", "sliding")
 """Coupled motors; seven joints; joints that slide. TURNED of the last so that all is exciting."""
