@@ -98,12 +98,14 @@ def export_urdf(model: RobotEstimator, out: Path, *, unchecked: bool = False) ->
             how much.
 
     Raises:
-        FitError: The model has no rigid part, one that no URDF can say, or what is read back is not
-            near what the model says.
+        FitError: The model is not fitted, has no rigid part or one that no URDF can say, or what is
+            read back is not near what the model says.
         PluginError: Consistent parameters have to be found and cvxpy is not installed.
         RecordingError: The file exists already, or cannot be made.
     """
     require_new(out)
+    if not hasattr(model, "sigma_"):
+        raise FitError(f"{model.estimator} is not fitted yet", hint="call fit first")
     robot = model.robot_
     _require_joints(robot)
     found = identified_parameters(model)
