@@ -14,7 +14,6 @@ import pytest
 
 from hil.core.errors import FitError
 from hil.estimators import estimator
-from hil.estimators.base import RobotEstimator
 from hil.estimators.friction_library import column_names, groups
 from hil.export import json_check
 from hil.export.agreement import golden_of
@@ -29,8 +28,7 @@ from hil.export.json_reader import (
     symbols_of,
     torque_per_effort,
 )
-from tests.export.test_json import EXTRA
-from tests.support.json_models import KINDS, fitted
+from tests.support.export_models import KINDS, fitted
 from tests.support.synthetic_motion import dwelling, nominal
 
 SAMPLES = 60
@@ -67,7 +65,7 @@ def test_columns_that_cannot_be_read_are_refused(wrong: str) -> None:
 
 @pytest.mark.thorough
 def test_every_column_that_there_may_be_can_be_read() -> None:
-    law = fitted_or_skip("rigid-hysteresis").law_
+    law = fitted("rigid-hysteresis").law_
     names = [
         c for g in groups(ripple=True, temperature=True) for c in column_names(g, law.count(g))
     ]
@@ -96,7 +94,7 @@ def test_memory_stays_where_positions_go_against_the_velocity() -> None:
 @pytest.mark.thorough
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_number_that_is_bent_is_noticed(kind: str, monkeypatch) -> None:
-    model = fitted_or_skip(kind)
+    model = fitted(kind)
     monkeypatch.setattr(json_check, "golden_of", lambda one: golden_of(one, SAMPLES))
     monkeypatch.setattr(json_check, "SAMPLES", SAMPLES)
     document = told(kind)[0]
@@ -175,12 +173,6 @@ def test_gains_of_one_that_somebody_measured_are_gains() -> None:
     document = document_of(estimator("static-linear").fit(ones, nominal()))
     assert document["effort"]["torque_per_effort"]["values"] == [1.0] * 6
     assert {one["unit"] for one in document["parameters"]} == {"N·m"}
-
-
-def fitted_or_skip(kind: str) -> RobotEstimator:
-    if extra := EXTRA.get(kind.split()[0]):
-        pytest.importorskip(extra)
-    return fitted(kind)
 
 
 @cache

@@ -1,15 +1,13 @@
 """A residual network as C against the same network streamed in Python."""
 
-import subprocess
-
 import numpy as np
 import pytest
 
 from hil.core.errors import FitError
 from hil.export.c import network_piece
-from tests.support.export_network_parts import (
-    COMPILER,
-    SANITIZED,
+from tests.support.c_programs import SANITIZED, require_sanitizers
+from tests.support.random_networks import (
+    KINDS,
     TANH,
     built,
     correction,
@@ -18,16 +16,6 @@ from tests.support.export_network_parts import (
     stepped,
     streamed,
 )
-
-KINDS = {
-    "grouped": {"split": False},
-    "grouped-relu-folds": {"activation": "relu", "networks": 3, "split": False},
-    "grouped-branches-dropped": {"split": True, "kept": [True, False, True], "networks": 3},
-    "grouped-without-base": {"base_input": False, "sign_widths": (0.2,), "activation": "relu"},
-    "joint-branches": {"layout": "joint", "split": True},
-    "joint-folds-dropped": {"layout": "joint", "split": False, "networks": 3, "kept": [0, 1, 1]},
-    "joint-relu-branches": {"layout": "joint", "split": True, "activation": "relu", "channels": 5},
-}
 
 
 def close(expected: np.ndarray):
@@ -44,11 +32,12 @@ def usual(tmp_path_factory):
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
-def test_the_program_says_what_the_stream_says(kind, tmp_path) -> None:
+def test_the_program_says_what_the_stream_says_and_does_nothing_undefined(kind, tmp_path) -> None:
+    require_sanitizers("cc", tmp_path)
     networks, rows = correction(**kind), motion()
-    expected = streamed(networks, rows)
+    expected = streamed(networks, rows, again=31)
     assert np.ptp(expected[:, networks.kept], axis=0).min() > 0.1
-    found = stepped(built(networks, tmp_path), rows)
+    found = stepped(built(networks, tmp_path, flags=SANITIZED), rows, again=31)
     assert found == close(expected)
     assert np.all(found[:, ~networks.kept] == 0.0)
 
@@ -103,20 +92,6 @@ def test_the_hyperbolic_tangent_is_right_to_one_in_a_million(tmp_path) -> None:
     found = np.frombuffer(ran(program, x), dtype=np.float32)
     assert np.abs(found - np.tanh(x.astype(float))).max() < 1e-6
     assert np.isnan(np.frombuffer(ran(program, x[:1] * np.nan), dtype=np.float32))
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("layout", ["grouped", "joint"])
-def test_no_access_is_out_of_bounds_and_nothing_undefined_is_done(layout, tmp_path) -> None:
-    (tmp_path / "empty.c").write_text("int main(void) { return 0; }\n")
-    if COMPILER is not None:
-        command = [COMPILER, *SANITIZED, str(tmp_path / "empty.c"), "-o", str(tmp_path / "empty")]
-        if subprocess.run(command, capture_output=True).returncode != 0:
-            pytest.skip("the compiler has no address and undefined behaviour sanitizers")
-    networks = correction(layout=layout, split=True, networks=2, kept=[True, False, True])
-    rows = motion()
-    program = built(networks, tmp_path, flags=["-O1", *SANITIZED])
-    assert stepped(program, rows, again=31) == close(streamed(networks, rows, again=31))
 
 
 def test_where_no_joint_keeps_its_network_nothing_is_added_or_remembered(tmp_path) -> None:

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hil.core.errors import FitError, PluginError, RecordingError
+from hil.core.errors import FitError
 from hil.estimators import estimator
-from hil.export import onnx_mlp
-from hil.export.onnx_mlp import Chain, chain_of, export_onnx_mlp, onnxruntime_says
+from hil.export.onnx_mlp import chain_of, export_onnx_mlp, onnxruntime_says
+from tests.support.export_readers import onnx_metadata
 from tests.support.synthetic_motion import dwelling, moving, nominal
 
 onnx = pytest.importorskip("onnx", reason="onnx is not installed")
@@ -49,10 +49,6 @@ def poses(count=40):
     return np.random.default_rng(3).uniform(-2.5, 2.5, (count, 6))
 
 
-def told(path):
-    return {one.key: one.value for one in onnx.load(path).metadata_props}
-
-
 @pytest.mark.parametrize("options", STATIC.values(), ids=STATIC)
 def test_a_static_network_says_its_friction(options, tmp_path) -> None:
     model = static(**options)
@@ -71,7 +67,7 @@ def test_a_static_network_says_its_friction(options, tmp_path) -> None:
 def test_a_trunk_gives_the_mass_matrix_by_the_formula_in_its_notes(options, tmp_path) -> None:
     model = learned(**options)
     written = export_onnx_mlp(model, tmp_path / "trunk.onnx")
-    facts, q = told(written.out), poses()
+    facts, q = onnx_metadata(written.out), poses()
     found = dict(
         zip(json.loads(facts["outputs"]), onnxruntime_says(written.out.read_bytes())(q).T,
             strict=True)
@@ -98,7 +94,7 @@ def test_the_slope_of_the_potential_is_the_torque_of_gravity(tmp_path) -> None:
     from hil.networks.lagrangian import torques
 
     written = export_onnx_mlp(model, tmp_path / "trunk.onnx")
-    at = json.loads(told(written.out)["outputs"]).index("V")
+    at = json.loads(onnx_metadata(written.out)["outputs"]).index("V")
     says, q, step = onnxruntime_says(written.out.read_bytes()), poses(5), 1e-2
     rest = np.zeros_like(q)
     torque = torques(model._network(), q, rest, rest, rest)["gravity"]
@@ -123,7 +119,7 @@ def test_the_graph_is_a_chain_of_what_such_runtimes_know(make, tmp_path) -> None
     assert [at] == [one.name for one in model.graph.output]
     assert all(one.data_type == onnx.TensorProto.FLOAT for one in model.graph.initializer)
     assert model.opset_import[0].version == 13
-    facts = told(written.out)
+    facts = onnx_metadata(written.out)
     names, units = json.loads(facts["outputs"]), json.loads(facts["output_units"])
     assert len(names) == len(units) == model.graph.output[0].type.tensor_type.shape.dim[1].dim_value
     assert json.loads(facts["inputs"]) == list(written.joint_names)
@@ -136,18 +132,10 @@ def test_the_file_tells_units_joint_by_joint_and_no_path(tmp_path, monkeypatch) 
     monkeypatch.setattr(model.robot_, "joint_geometry", lambda: slides)
     monkeypatch.setattr(model.robot_, "name", "/home/me/arms/arm.urdf")
     monkeypatch.setattr(model, "effort_kind_", "torque")
-    facts = told(export_onnx_mlp(model, tmp_path / "m.onnx").out)
+    facts = onnx_metadata(export_onnx_mlp(model, tmp_path / "m.onnx").out)
     assert json.loads(facts["input_units"]) == ["rad", "m"] + ["rad"] * 4
     assert json.loads(facts["output_units"]) == ["N·m", "N"] + ["N·m"] * 4
     assert facts["robot"] == "arm.urdf"
-
-
-def test_what_is_no_chain_is_refused_and_told_where_to_go(tmp_path) -> None:
-    rigid = estimator("rigid-wls").fit(moving(1, 2, 3), nominal())
-    with pytest.raises(FitError, match=r"rigid-wls is no chain of fully connected layers") as told:
-        export_onnx_mlp(rigid, tmp_path / "m.onnx")
-    assert "--to c" in str(told.value.hint)
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_inputs_beyond_positions_are_refused() -> None:
@@ -159,33 +147,3 @@ def test_inputs_beyond_positions_are_refused() -> None:
 def test_layers_that_multiply_are_refused() -> None:
     with pytest.raises(FitError, match="silu layers"):
         chain_of(learned(activation="silu"))
-
-
-def test_a_model_that_is_not_fitted_is_refused() -> None:
-    with pytest.raises(FitError, match="static-mlp-lm is not fitted"):
-        chain_of(estimator("static-mlp-lm"))
-
-
-def test_what_does_not_agree_is_not_written(tmp_path, monkeypatch) -> None:
-    chain = chain_of(model := static(layers=[4, 4, 1]))
-    bent = Chain(chain.layers, lambda q: 1.001 * chain.says(q), *_rest(chain))
-    monkeypatch.setattr(onnx_mlp, "chain_of", lambda _: bent)
-    with pytest.raises(FitError, match="does not agree with the model"):
-        export_onnx_mlp(model, tmp_path / "m.onnx")
-    assert list(tmp_path.iterdir()) == []
-
-
-def _rest(chain):
-    return chain.part, chain.output, chain.outputs, chain.units, chain.notes
-
-
-def test_without_the_libraries_the_extra_is_named(tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(onnx_mlp, "LIBRARIES", ("onnx", "a_library_that_is_absent"))
-    with pytest.raises(PluginError, match="a_library_that_is_absent, which is not installed"):
-        export_onnx_mlp(static(layers=[4, 4, 1]), tmp_path / "m.onnx")
-
-
-def test_what_exists_is_not_written_over(tmp_path) -> None:
-    (tmp_path / "m.onnx").write_bytes(b"mine")
-    with pytest.raises(RecordingError, match="exists already"):
-        export_onnx_mlp(estimator("static-mlp-lm"), tmp_path / "m.onnx")

@@ -1,20 +1,21 @@
 """Residual networks with weights drawn at random, and their C program built and run."""
 
-import shutil
+from __future__ import annotations
+
 import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
-import pytest
 
 from hil.export.c import network_piece
+from hil.export.c_compiler import STRICT
 from hil.networks.residual_data import InputScales, NetworkInputs, ResidualSettings, group_shape
 from hil.networks.residual_network import CorrectedStream
 from hil.networks.residual_selection import Correction
 from hil.networks.residual_tcn import TcnWeights, TrainedTcn
-
-COMPILER = shutil.which("gcc") or shutil.which("clang")
-STRICT = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-pedantic"]
-SANITIZED = ["-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+from tests.support.c_programs import compiled
 
 STEPS = """\
 int main(int count, char **given)
@@ -49,6 +50,16 @@ int main(void)
     return 0;
 }
 """
+
+KINDS: dict[str, dict[str, Any]] = {
+    "grouped": {"split": False},
+    "grouped-relu-folds": {"activation": "relu", "networks": 3, "split": False},
+    "grouped-branches-dropped": {"split": True, "kept": [True, False, True], "networks": 3},
+    "grouped-without-base": {"base_input": False, "sign_widths": (0.2,), "activation": "relu"},
+    "joint-branches": {"layout": "joint", "split": True},
+    "joint-folds-dropped": {"layout": "joint", "split": False, "networks": 3, "kept": [0, 1, 1]},
+    "joint-relu-branches": {"layout": "joint", "split": True, "activation": "relu", "channels": 5},
+}
 
 
 def correction(n=3, networks=1, kept=None, limit=1e6, seed=0, **settings) -> Correction:
@@ -116,10 +127,10 @@ def _stream(networks: Correction, rows: np.ndarray) -> np.ndarray:
     return np.array(added)
 
 
-def built(networks: Correction, folder, main=STEPS, flags=("-O2",)):
+def built(
+    networks: Correction, folder: Path, main: str = STEPS, flags: Sequence[str] = ("-O1",)
+) -> Path:
     """The program's path; the test is skipped where nothing compiles it."""
-    if COMPILER is None:
-        pytest.skip("no C compiler: neither gcc nor clang was found")
     n = len(networks.kept)
     piece = network_piece(networks, n)
     source = (
@@ -129,20 +140,17 @@ def built(networks: Correction, folder, main=STEPS, flags=("-O2",)):
         + main.replace("RESET", piece.reset)
     )
     (folder / "network.c").write_text(source)
-    program = folder / "network"
-    command = [COMPILER, *STRICT, *flags, str(folder / "network.c"), "-o", str(program)]
-    done = subprocess.run(command, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr[:2000]
-    return program
+    compiled("cc", [*STRICT, *flags, "network.c", "-o", "network"], folder)
+    return folder / "network"
 
 
-def ran(program, rows: np.ndarray, *given: str) -> bytes:
+def ran(program: Path, rows: np.ndarray, *given: str) -> bytes:
     """What the program writes for these numbers."""
     done = subprocess.run([program, *given], input=rows.tobytes(), capture_output=True)
     assert done.returncode == 0, done.stderr.decode()[:2000]
     return done.stdout
 
 
-def stepped(program, rows: np.ndarray, again: int = 0) -> np.ndarray:
+def stepped(program: Path, rows: np.ndarray, again: int = 0) -> np.ndarray:
     """(rows, n) that the C program adds."""
     return np.frombuffer(ran(program, rows, str(again))).reshape(len(rows), -1)

@@ -1,6 +1,5 @@
-"""A C program that feeds another what no controller should: odd numbers, traps armed."""
-
-FUZZ = r"""#define _GNU_SOURCE
+/* Feeds a program what no controller should: odd numbers, with traps armed. */
+#define _GNU_SOURCE
 #include "hil.h"
 #include <fenv.h>
 #include <math.h>
@@ -82,4 +81,3 @@ int main(void)
     puts("nothing stops it");
     return 0;
 }
-"""

@@ -1,6 +1,5 @@
-"""A C program that calls another on a stack it has painted, and says how deep the paint is gone."""
-
-STACK = r"""#define _GNU_SOURCE
+/* Calls a program on a stack that it has painted, and prints how deep the paint is gone. */
+#define _GNU_SOURCE
 #include "hil.h"
 #include <pthread.h>
 #include <stdio.h>
@@ -48,4 +47,3 @@ int main(void)
     printf("%ld\n", (long)(from - &stack[k]));
     return 0;
 }
-"""
