@@ -36,6 +36,7 @@ from hil.export.program import program_of
 from hil.export.targets import ENDINGS, TARGETS, written_as
 from tests.support import export_readers as readers
 from tests.support.export_models import fitted, smooth
+from tests.support.export_readers import off_by
 from tests.support.paths import DOCS
 
 TABLE = """
@@ -91,25 +92,28 @@ def pairs() -> list[Pair]:
     return [Pair(kind, *one) for kind, row in cells for one in zip(head[1:], row, strict=True)]
 
 
-def those(chosen: Callable[[Pair], bool]) -> pytest.MarkDecorator:
+def those(found: list[Pair]) -> pytest.MarkDecorator:
+    slow = pytest.mark.thorough
     marked = [
-        pytest.param(*pair[:2], marks=() if pair.cheap else pytest.mark.thorough,
-                     id=f"{pair.kind}-{pair.to}")
-        for pair in pairs() if chosen(pair)
-    ]  # fmt: skip
+        pytest.param(one.kind, one.to, marks=() if one.cheap else slow, id=f"{one.kind}-{one.to}")
+        for one in found
+    ]
     return pytest.mark.parametrize(("kind", "to"), marked)
 
 
-EXPORTED = those(lambda pair: pair.outcome == "yes")
-STREAMS = those(lambda pair: pair.outcome == "yes" and pair.to in ("c", "torch", "onnx"))
-TRACED = those(lambda pair: pair.outcome == "yes" and pair.to in ("torch", "onnx"))
+def exports(*targets: str, kinds: tuple[str, ...] = ("",)) -> pytest.MarkDecorator:
+    """All that is exported: as these targets (else any), of kinds that begin so."""
+    found = [one for one in pairs() if one.outcome == "yes" and one.kind.startswith(kinds)]
+    return those([one for one in found if one.to in (targets or TARGETS)])
+
+
 OUTCOMES = {pair[:2]: pair.outcome for pair in pairs()}
 
 
 def share_of(kind: str, to: str) -> float:
-    """Largest difference that there may be, as a share of the largest effort."""
+    """Largest difference that there may be, as a share of each joint's largest effort."""
     single = kind.startswith("lagrangian") and (to != "c" or "dissipative" in kind)
-    return 3e-6 if single else 1e-6 if kind.startswith("residual") else 1e-11
+    return 1e-5 if single else 2e-6 if kind.startswith("residual") else 1e-11
 
 
 def needs(to: str) -> None:
@@ -200,43 +204,36 @@ def held_out(model: RobotEstimator, samples: int = 70) -> readers.Motion:
     return jittered(q, qd), qd, qdd
 
 
-def close(expected: np.ndarray, share: float) -> Any:
-    return pytest.approx(expected, rel=0.0, abs=share * np.abs(expected).max())
-
-
 def test_every_estimator_of_hil_and_every_target_is_in_the_table() -> None:
     ours = {n for n in plugins.names(GROUP) if plugins.load(GROUP, n).__module__[:4] == "hil."}
     assert {re.split("[ :]", kind)[0] for kind, _ in OUTCOMES} == ours
     assert {to for _, to in OUTCOMES} == set(TARGETS) == set(ENDINGS)
 
 
-@STREAMS
+@exports("c", "torch", "onnx")
 def test_a_program_streams_the_efforts_of_the_model(kind, to, exported, efforts) -> None:
     """Each time from the start, bare, with a load, and with one that is mounted on the way."""
     model, stream = exported(kind, to).model, efforts(kind, to)
     motion, share = held_out(model), share_of(kind, to)
     bare, loaded = (readers.streamed(model, motion, load) for load in (Payload(), LOAD))
-    assert stream(motion, [Payload()] * len(bare)) == close(bare, share)
-    assert stream(motion, [LOAD] * len(bare)) == close(loaded, share)
+    assert off_by(stream(motion, [Payload()] * len(bare)), bare) < share
+    assert off_by(stream(motion, [LOAD] * len(bare)), loaded) < share
     if not kind.startswith("residual"):  # whose network remembers efforts
         on = np.arange(len(bare)) % 9 < 4
         mixed = stream(motion, [LOAD if one else Payload() for one in on])
-        assert mixed == close(np.where(on[:, None], loaded, bare), share)
+        assert off_by(mixed, np.where(on[:, None], loaded, bare)) < share
 
 
-RIGID = those(lambda p: p.outcome == "yes" and p.to == "json" and p.kind[:5] in ("rigid", "resid"))
-
-
-@RIGID
+@exports("json", kinds=("rigid", "residual"))
 def test_a_document_has_the_efforts_of_the_model(kind, to, exported, efforts) -> None:
     model = getattr(exported(kind, to).model, "base_", exported(kind, to).model)
     motion = held_out(model)
     for load in (Payload(), LOAD):
         found = efforts(kind, to)(motion, [load] * len(motion[0]))
-        assert found == close(readers.streamed(model, motion, load), 1e-11)
+        assert off_by(found, readers.streamed(model, motion, load)) < 1e-11
 
 
-@those(lambda pair: pair.outcome == "yes" and pair.to == "urdf")
+@exports("urdf")
 def test_a_urdf_has_the_gravity_and_inertia_of_the_model(kind, to, exported) -> None:
     model, told, _ = exported(kind, to)
     motion, expected = held_out(model), 0.0
@@ -244,21 +241,21 @@ def test_a_urdf_has_the_gravity_and_inertia_of_the_model(kind, to, exported) -> 
     for name in {"gravity", "inertia", "coriolis"} & parts.keys():
         expected = expected + parts[name]
     share = 1e-9 if told.found.exact else 0.02
-    assert readers.urdf_torques(told.out, motion) == close(expected, share)
-    assert RobotModel.from_urdf(told.out).inverse_dynamics(*motion) == close(expected, share)
+    assert off_by(readers.urdf_torques(told.out, motion), expected) < share
+    assert off_by(RobotModel.from_urdf(told.out).inverse_dynamics(*motion), expected) < share
 
 
-@those(lambda pair: pair.outcome == "yes" and pair.to == "onnx-mlp")
+@exports("onnx-mlp")
 def test_a_chain_has_the_numbers_of_its_part_of_the_model(kind, to, exported) -> None:
     from hil.export.onnx_mlp import chain_of, onnxruntime_says
 
     model, told, _ = exported(kind, to)
     q = held_out(model)[0]
     expected = chain_of(model).says(q)
-    assert onnxruntime_says(told.out.read_bytes())(q) == close(expected, 1e-5)
+    assert off_by(onnxruntime_says(told.out.read_bytes())(q), expected) < 1e-5
 
 
-@EXPORTED
+@exports()
 def test_a_result_says_what_was_written_and_how_well_it_agrees(kind, to, exported) -> None:
     model, told, folder = exported(kind, to)
     assert [path.name for path in folder.iterdir()] == [told.out.name]
@@ -282,7 +279,7 @@ CHECKED = {
 }
 
 
-@EXPORTED
+@exports()
 def test_a_file_carries_estimator_robot_joints_and_unit_and_no_path(kind, to, exported) -> None:
     model, told, _ = exported(kind, to)
     expected = {
@@ -301,7 +298,7 @@ def test_a_file_carries_estimator_robot_joints_and_unit_and_no_path(kind, to, ex
         assert str(Path(__file__).parents[1]).encode() not in content
 
 
-@those(lambda pair: pair.outcome == "yes" and pair.to == "onnx")
+@exports("onnx")
 def test_a_graph_is_what_small_runtimes_take(kind, to, exported) -> None:
     import onnx
 
@@ -326,7 +323,7 @@ def test_a_graph_is_what_small_runtimes_take(kind, to, exported) -> None:
     assert counts == kind.startswith("residual") == bool(said["rate_hz"])
 
 
-@those(lambda pair: pair.outcome == "yes" and pair.to == "torch")
+@exports("torch")
 def test_a_torch_program_scatters_nothing(kind, to, exported) -> None:
     import torch
 
@@ -338,8 +335,11 @@ def test_a_torch_program_scatters_nothing(kind, to, exported) -> None:
 AGAIN = ("static", "rigid-wls", "rigid-hyst", "residual", "lagrangian: dissipative")
 
 
-@those(lambda pair: pair.outcome == "yes" and pair.kind.startswith(AGAIN)
-       and (pair.to not in METADATA or "sliding" in pair.kind))  # fmt: skip
+@those([
+    one for one in pairs()
+    if one.outcome == "yes" and one.kind.startswith(AGAIN)
+    and (one.to not in ("torch", "onnx") or "sliding" in one.kind)
+])  # fmt: skip
 def test_a_model_read_from_its_folder_gives_the_same_bytes(kind, to, exported, tmp_path) -> None:
     model, told, _ = exported(kind, to)
     again = load_model_file(save_model(model, tmp_path / "model"))
@@ -361,12 +361,13 @@ def test_another_process_writes_the_same_bytes(to, exported, tmp_path) -> None:
     folder, out = save_model(model, tmp_path / "model"), tmp_path / told.out.name
     command = [sys.executable, "-m", "hil", "export", folder, "--to", to, "-o", out]
     command += ["--unchecked"] * (to == "c")
-    environment = os.environ | {"PYTHONHASHSEED": "1"}
-    subprocess.run(command, env=environment, check=True, capture_output=True, timeout=110)
+    subprocess.run(
+        command, env=os.environ | {"PYTHONHASHSEED": "1"}, check=True, capture_output=True
+    )
     assert content_of(out) == content_of(told.out)
 
 
-@those(lambda pair: pair.outcome in REFUSALS)
+@those([one for one in pairs() if one.outcome in REFUSALS])
 def test_what_is_no_target_is_refused_with_what_would_do(kind, to, tmp_path) -> None:
     needs(to)
     message, hint = REFUSALS[OUTCOMES[kind, to]]
@@ -589,7 +590,7 @@ def test_the_example_for_onnx_runs(kind, exported, tmp_path, monkeypatch) -> Non
     found = {"samples": zip(*motion, strict=True)}
     exec(re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)[0], found)
     expected = readers.streamed(model, motion, Payload())
-    assert found["effort"][0] == close(expected[-1], 1e-11)
+    assert found["effort"][0] == pytest.approx(expected[-1], abs=1e-9)
 
 
 @pytest.mark.thorough
@@ -604,18 +605,21 @@ def test_the_example_for_torch_runs(exported, tmp_path, monkeypatch) -> None:
     found = {name: torch.tensor(value) for name, value in inputs}
     exec(re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)[1], found)
     expected = readers.streamed(model, tuple(row), LOAD)
-    assert found["effort"][0].numpy() == close(expected[0], 1e-11)
+    assert found["effort"][0].numpy() == pytest.approx(expected[0], abs=1e-9)
 
 
-@TRACED
+@exports("torch", "onnx")
 def test_rows_are_streams_of_their_own(kind, to, exported, steps) -> None:
     """Three at once, the second of which is the one that runs alone."""
     step, size = steps(kind, to)
     motion = held_out(exported(kind, to).model)
     together, alone = ([np.zeros((rows, size))] * bool(size) for rows in (3, 1))
     mounted = np.vstack([load_row(load) for load in (LOAD, Payload(), LOAD)])
+    among, lone = [], []
     for k in range(25):
         rows = [one[[69 - k, k, k // 2]] for one in motion]
         effort, *together = step([*rows, mounted, *together])
         one, *alone = step([*(row[1:2] for row in rows), mounted[1:2], *alone])
-        assert effort[1] == close(one[0], share_of(kind, to))
+        among.append(effort[1])
+        lone.append(one[0])
+    assert off_by(np.array(among), np.array(lone)) < share_of(kind, to)

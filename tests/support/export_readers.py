@@ -15,7 +15,7 @@ import numpy as np
 from hil.arms.payload import Payload
 from hil.core.typing import FloatArray
 from hil.estimators.base import RobotEstimator, motion_of
-from hil.export.agreement import load_row
+from hil.export.agreement import load_row, scale_of
 from hil.export.json_reader import friction_torque, rigid_torque, torque_per_effort
 from tests.support.c_programs import Build
 
@@ -29,6 +29,12 @@ def streamed(model: RobotEstimator, motion: Motion, load: Payload) -> FloatArray
     """(N, n) efforts of the model in Python, sample by sample."""
     stream = model.stream(load)
     return np.array([stream.step(*row) for row in zip(*motion, strict=True)])
+
+
+def off_by(found: FloatArray, expected: FloatArray) -> float:
+    """Largest difference (N, n) as a share of each joint's largest value; NaN is endlessly off."""
+    off = np.abs(found - expected).max(axis=0) / scale_of(expected)
+    return float(np.nan_to_num(off, nan=np.inf).max())
 
 
 def c_efforts(out: Path, build_in: Path, model: RobotEstimator) -> Efforts:
