@@ -34,6 +34,7 @@ from hil.export.c_compiler import compiler
 from hil.export.exported import Exported, effort_unit
 from hil.export.program import program_of
 from hil.export.targets import ENDINGS, TARGETS, written_as
+from hil.export.torch_export import pickles
 from tests.support import export_readers as readers
 from tests.support.export_models import fitted, smooth
 from tests.support.export_readers import off_by
@@ -324,10 +325,12 @@ def test_a_graph_is_what_small_runtimes_take(kind, to, exported) -> None:
 
 
 @exports("torch")
-def test_a_torch_program_scatters_nothing(kind, to, exported) -> None:
+def test_a_torch_program_scatters_nothing_and_holds_no_pickle(kind, to, exported) -> None:
     import torch
 
-    graph = torch.export.load(exported(kind, to).told.out).graph
+    told = exported(kind, to).told
+    assert pickles(told.out.read_bytes()) == []
+    graph = torch.export.load(told.out).graph
     used = {str(node.target) for node in graph.nodes if node.op == "call_function"}
     assert not [name for name in used if any(w in name for w in ("index", "gather", "scatter"))]
 
@@ -503,23 +506,36 @@ def bent_step(honest: Callable[[bytes], Any]) -> Callable[[bytes], Any]:
     return loaded
 
 
+def traced_once(to: str, exported: Any, patch: pytest.MonkeyPatch) -> None:
+    """Let the small model be exported again without tracing it again."""
+    content = exported(SMALL[to], to).told.out.read_bytes()
+    tracer = {"torch": "archive", "onnx": "graph"}[to]
+    patch.setattr(f"{TARGETS[to][0]}.{tracer}", lambda traced: content)
+    patch.setattr(f"{TARGETS[to][0]}.golden_of", short_golden)
+
+
 @pytest.mark.parametrize("to", [pytest.param(to, marks=HEAVY.get(to, ())) for to in TARGETS])
 def test_what_does_not_agree_is_not_written(to, exported, tmp_path, monkeypatch) -> None:
     needs(to)
-    if to in METADATA:  # traced once
-        content = exported(SMALL[to], to).told.out.read_bytes()
-        tracer = {
-            "torch": "hil.export.torch_export.archive",
-            "onnx": "hil.export.onnx_export.graph",
-        }
-        monkeypatch.setattr(tracer[to], lambda traced: content)
-        monkeypatch.setattr(f"{TARGETS[to][0]}.golden_of", short_golden)
+    if to in METADATA:
+        traced_once(to, exported, monkeypatch)
     place, bend, words = BENT[to]
     module, _, name = place.rpartition(".")
     monkeypatch.setattr(place, bend(getattr(import_module(module), name)))
     with pytest.raises(FitError, match=words):
         written(to, tmp_path / f"arm{ENDINGS[to]}")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.thorough
+def test_other_endings_than_torch_likes_and_joints_that_slide_are_noted(
+    exported, tmp_path, monkeypatch
+) -> None:
+    traced_once("torch", exported, monkeypatch)
+    assert written("torch", tmp_path / "arm.bin").notes == (
+        "torch.export.load warns of other names than *.pt2",
+        "joints that slide: r; positions in m, efforts in N",
+    )
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from hil.arms.payload import Payload  # noqa: E402
 from hil.estimators import friction_library  # noqa: E402
 from hil.estimators.base import RobotEstimator  # noqa: E402
 from hil.export.agreement import LOAD, golden_of, largest_difference, load_row  # noqa: E402
-from hil.export.torch_export import export_torch, pickles  # noqa: E402
+from hil.export.torch_export import pickles  # noqa: E402
 from hil.export.torch_modules import StreamingTcn, TorchModel, module_of  # noqa: E402
 from tests.support.export_models import ARMS, KINDS, fitted  # noqa: E402
 from tests.support.lagrangian_models import CASES  # noqa: E402
@@ -91,17 +91,6 @@ def test_it_can_be_differentiated_for_control() -> None:
     assert torch.autograd.gradcheck(effort, inputs, eps=1e-7, atol=1e-4)
 
 
-@pytest.mark.thorough
-def test_rows_do_not_hear_of_each_other() -> None:
-    module = module_of(fitted("lagrangian: dissipative")).module
-    random = np.random.default_rng(0)
-    rows = [torch.tensor(random.normal(size=(4, size))) for size in (6, 6, 6, 10)]
-    (together,) = module(*rows)
-    for k in range(4):
-        (alone,) = module(*(one[k : k + 1] for one in rows))
-        torch.testing.assert_close(alone[0], together[k], rtol=1e-5, atol=1e-5)
-
-
 def test_units_are_told_joint_by_joint() -> None:
     units = module_of(fitted(SLIDES)).units
     slides = ["rad", "m", "rad"]
@@ -150,13 +139,7 @@ def _warmer(traced: TorchModel, rows, warmer) -> np.ndarray:
 
 
 @pytest.mark.thorough
-def test_there_is_no_pickle_in_a_file_and_its_name_and_units_are_noted(tmp_path) -> None:
-    told = export_torch(fitted(SLIDES), tmp_path / "arm.bin")
-    assert told.notes == (
-        "torch.export.load warns of other names than *.pt2",
-        "joints that slide: r; positions in m, efforts in N",
-    )
-    assert pickles(told.out.read_bytes()) == []
+def test_what_torch_pickles_as_a_rule_is_found() -> None:
     usual = io.BytesIO()
     program = torch.export.export(torch.nn.Linear(2, 2), (torch.zeros(1, 2),))
     torch.export.save(program, usual)

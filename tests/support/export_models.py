@@ -19,6 +19,10 @@ from tests.support.synthetic_memory import remembering
 from tests.support.synthetic_motion import arriving, dwelling, moving, nominal
 
 TRAINING = {"epochs": 3, "batch_size": 300, "device": "cpu"}
+RESIDUAL = {
+    "base": residual_models.SMOOTH, "network": residual_models.SMALL,
+    "training": {"epochs": 1, "batch_size": 16, "device": "cpu"}, "folds": 1, "margin": 0.0,
+}  # fmt: skip
 EXTRA = {"residual": "torch", "lagrangian": "torch", "rigid-lmi": "cvxpy", "rigid-irls": "cvxpy",
          "rigid-hysteresis": "cvxpy"}  # fmt: skip
 """Library that an estimator needs; a test of its models is skipped without it."""
@@ -36,10 +40,7 @@ KINDS: dict[str, dict[str, Any]] = {
     "rigid-diffnea power": {"friction": "stribeck-power"},
     "rigid-diffnea memory": {"friction": "memory"},
     "rigid-hysteresis": {},
-    "residual": {
-        "base": {"estimator": "rigid-wls", "sign_width": 2.0}, "network": residual_models.SMALL,
-        "training": {"epochs": 1, "batch_size": 16, "device": "cpu"}, "folds": 1, "margin": 0.0,
-    },
+    "residual": RESIDUAL,
     "lagrangian": {"network": {"hidden": [12]}, "training": TRAINING},
     "lagrangian coulomb": {
         "friction": "coulomb", "direction": "dahl", "network": {"hidden": [12]},
@@ -65,25 +66,18 @@ PROGRAMS: dict[str, dict[str, Any]] = {
     "rigid-diffnea hard": {"friction": "stribeck-power", "sign_width": 0.0},
     "rigid-hysteresis every group": {"consistent": False, "friction": list(GROUPS)},
     "rigid-hysteresis warm": {"consistent": False, "friction": ["core", "load", "temperature"]},
-    "residual none kept": {
-        "base": {"estimator": "rigid-wls"}, "network": residual_models.SMALL,
-        "training": residual_models.SHORT, "folds": 2, "margin": 0.99,
-    },
+    "residual folds": {**RESIDUAL, "folds": 2},
+    "residual none kept": {**RESIDUAL, "base": {"estimator": "rigid-wls"}, "margin": 0.99},
+    "residual measured": {**RESIDUAL, "inputs": "measured"},
     "residual lagrangian": {
+        **RESIDUAL,
         "base": {
             "estimator": "lagrangian", "network": {"hidden": [12]},
             "training": lagrangian_models.QUICK,
         },
-        "network": residual_models.SMALL, "training": residual_models.SHORT, "folds": 2,
-        "margin": 0.0,
-    },
-    "residual measured": {
-        "base": residual_models.SMOOTH, "network": residual_models.SMALL, "inputs": "measured",
-        "training": {"epochs": 1, "batch_size": 16, "device": "cpu"}, "folds": 1, "margin": 0.0,
     },
 }  # fmt: skip
-"""More of what programs are made of. Others are `residual folds`, of `residual_models`, and
-`lagrangian: ` with a case of `lagrangian_models`."""
+"""More of what programs are made of; so is `lagrangian: ` with a case of `lagrangian_models`."""
 
 ARMS = ("rigid-wls hard on sliding", "rigid-linear on tx40@motors", "rigid-lmi on panda")
 """Joints that slide; motors that move two joints; seven joints. All of torques, without noise."""
@@ -98,8 +92,6 @@ def fitted(kind: str) -> RobotEstimator:
         pytest.importorskip(extra, reason=f"{extra} is not installed")
     if kind.startswith("lagrangian: "):
         return lagrangian_models.lagrangian(kind.removeprefix("lagrangian: "))
-    if kind == "residual folds":
-        return residual_models.model()
     kind, _, arm = kind.partition(" on ")
     unfitted = estimator(kind.split()[0], **(KINDS | PROGRAMS)[kind])
     if arm:
