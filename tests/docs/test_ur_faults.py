@@ -11,9 +11,9 @@ from hil_mock_robot.ur.journal import SAFETY_FAULT, TOLD
 from hil_mock_robot.ur.mock import TELL
 from hil_mock_robot.ur.pacing import LockStep
 from hil_mock_robot.ur.side import SideService
+from tests.support.mock_servers import loopback
 from tests.support.paths import DOCS
 from tests.support.ur_machine import Wire, machine_of
-from tests.support.ur_mock import loopback
 
 REFERENCE = DOCS / "reference"
 TEXT = (REFERENCE / "mock-ur-faults.md").read_text("utf-8")

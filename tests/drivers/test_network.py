@@ -15,8 +15,7 @@ from hil_drivers import network
 from hil_drivers.network import once_listening
 from hil_drivers.ur.dashboard import Dashboard
 from hil_drivers.ur.robot import UrRobot
-from tests.support.ur_driver_parts import own_address
-from tests.support.ur_mock import loopback
+from tests.support.mock_servers import loopback
 
 
 def refusing(tries):
@@ -58,7 +57,7 @@ def test_other_problems_than_refusals_are_told_at_once():
 
 
 def test_a_dashboard_that_opens_late_is_reached():
-    address = own_address(77)
+    address = loopback()
     server = socket.socket()
     server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
 

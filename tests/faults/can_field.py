@@ -25,7 +25,7 @@ from tests.faults.wire_field import (
     starts,
     until_struck,
 )
-from tests.support.can_mock import MockCan, mock_can
+from tests.support.mock_servers import MockCan, mock_can
 
 AXES = range(1, 7)
 SETTLED_WITHIN_S = 5.0

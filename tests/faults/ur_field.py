@@ -24,7 +24,7 @@ from tests.faults.wire_field import (
     starts,
     until_struck,
 )
-from tests.support.ur_mock import mock_ur
+from tests.support.mock_servers import mock_ur
 
 CONTROLLER_STOPS = ("protective_stop", "emergency_stop", "watchdog", "power_cut")
 

@@ -12,9 +12,7 @@ import pytest
 
 from tests.frozen.frozen_parts import command, layout, run_of, told
 from tests.frozen.test_frozen_documents import compare
-from tests.support.can_mock import mock_can
-from tests.support.plc_mock import mock_plc
-from tests.support.ur_mock import mock_ur
+from tests.support.mock_servers import mock_can, mock_plc, mock_ur
 
 SCRIPTS = 30002
 PROGRAM = """\

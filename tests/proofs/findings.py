@@ -31,8 +31,8 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from tests.support.mock_servers import mock_ur
 from tests.support.paths import ROOT
-from tests.support.ur_mock import mock_ur
 
 Finding = Callable[[Path], str]
 

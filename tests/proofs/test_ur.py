@@ -23,8 +23,8 @@ import yaml
 import hil
 from hil.estimators.base import load_model_file
 from hil.recording.mcap_reader import read_topic
+from tests.support.mock_servers import mock_ur
 from tests.support.paths import EXPERIMENTS
-from tests.support.ur_mock import mock_ur
 
 pytestmark = [pytest.mark.proof, pytest.mark.timeout(1800)]
 

@@ -12,7 +12,7 @@ import can
 
 from hil_drivers.cia402.can_channel import rpdo_cob_id
 from hil_drivers.cia402.mapping import POSITION
-from tests.support.can_mock import MockCan
+from tests.support.mock_servers import MockCan
 
 LAST_NODE = 6
 SLOWER = 100

@@ -3,8 +3,7 @@
 Each number is made of its place among all outputs and of the tick; text messages come in between.
 """
 
-import signal
-
+from hil_mock_robot.server.cli import serve
 from hil_mock_robot.ur.loop import Loop
 from hil_mock_robot.ur.mock import machine_of, pacer_of, parser_of
 from hil_mock_robot.ur.rtde import RtdeService
@@ -12,7 +11,7 @@ from hil_mock_robot.ur.rtde_variables import WIRE, series_of
 from hil_mock_robot.ur.rtde_wire import Level
 
 
-def distinct(machine):
+def distinct(machine, service):
     out = machine.outputs
     for each in out.variables.values():
         letter, _ = WIRE[each.type]
@@ -24,13 +23,18 @@ def distinct(machine):
     service.say(Level.INFO, "test", f"tick {machine.ticks}")
 
 
-given = parser_of().parse_args()
-series = series_of(given.model)
-machine = machine_of(given, series)
-service = RtdeService(machine)
-publish = machine._publishing.publish
-machine._publishing.publish = lambda machine: (publish(machine), distinct(machine))
-loop = Loop(machine, [service], pacer_of(given.speed, series), given.address)
-signal.signal(signal.SIGTERM, lambda *_: loop.end())
-print("ready", flush=True)  # noqa: T201
-loop.run()
+def main(arguments):
+    """Run until SIGTERM."""
+    given = parser_of().parse_args(arguments)
+    series = series_of(given.model)
+    machine = machine_of(given, series)
+    service = RtdeService(machine)
+    publish = machine._publishing.publish
+
+    def publish_distinct(machine):
+        publish(machine)
+        distinct(machine, service)
+
+    machine._publishing.publish = publish_distinct
+    loop = Loop(machine, [service], pacer_of(given.speed, series), given.address)
+    return serve(loop, "distinct outputs")

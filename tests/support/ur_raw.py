@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
 import socket
 import struct
-import subprocess
-import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 LAYOUT = {
@@ -23,31 +19,6 @@ LAYOUT = {
     "VECTOR6INT32": "6i",
     "VECTOR6UINT32": "6I",
 }
-
-
-def address(number: int) -> str:
-    """A loopback address of this test process's own."""
-    pid = os.getpid()
-    return f"127.{1 + pid % 250}.{pid // 250 % 250}.{number}"
-
-
-@contextlib.contextmanager
-def mock(number: int, *arguments: str, script: str = "") -> Iterator[str]:
-    """A mock controller in a process of its own; gives the address it listens on."""
-    where = address(number)
-    run = [script] if script else ["-m", "hil_mock_robot", "ur"]
-    command = [sys.executable, *run, "--address", where, *arguments]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None
-    try:
-        line = process.stdout.readline()
-        assert line.startswith("ready"), line
-        yield where
-        assert process.poll() is None, "the mock died"
-    finally:
-        process.terminate()
-        process.wait(10)
-        process.stdout.close()
 
 
 class Raw:

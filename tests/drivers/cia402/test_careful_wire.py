@@ -14,8 +14,8 @@ from hil.robot import Status
 from hil.testing.moves import follow, move
 from hil_drivers.cia402.axes_robot import AxesRobot
 from hil_drivers.cia402.profile import TORQUE_BIT, AxisProfile
-from tests.support.can_mock import MockCan, mock_can
 from tests.support.cia402_robot import options
+from tests.support.mock_servers import MockCan, mock_can
 
 pytestmark = [pytest.mark.wire, pytest.mark.timeout(120)]
 

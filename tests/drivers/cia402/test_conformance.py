@@ -13,8 +13,8 @@ import pytest
 from hil.robot import Robot
 from hil.testing.driver_conformance import Bench, robot_conformance
 from hil_drivers.cia402.robot import Cia402Robot
-from tests.support.can_mock import mock_can
 from tests.support.cia402_robot import BusEar, options
+from tests.support.mock_servers import mock_can
 
 pytestmark = [pytest.mark.wire, pytest.mark.timeout(240)]
 

@@ -21,8 +21,8 @@ from hil_drivers.cia402.mapping import POSITION
 from hil_drivers.cia402.options import options_of
 from hil_drivers.cia402.replay import BusCycles, Replay
 from hil_drivers.cia402.rows import INCOMPLETE
-from tests.support.can_mock import mock_can
 from tests.support.cia402_robot import options
+from tests.support.mock_servers import mock_can
 
 NODES = range(1, 7)
 OPTIONS = {

@@ -33,9 +33,9 @@ from hil_drivers.cia402.can_cycle import stop_directly
 from hil_drivers.cia402.options import options_of
 from hil_drivers.cia402.robot import Cia402Robot
 from hil_drivers.cia402.rows import TOPIC
-from tests.support.can_mock import MockCan, mock_can
 from tests.support.cia402_robot import options
 from tests.support.in_time import InTime, Took, measured_again
+from tests.support.mock_servers import MockCan, mock_can
 from tests.support.paths import EXPERIMENTS
 
 pytestmark = [pytest.mark.wire, pytest.mark.timeout(120)]

@@ -9,7 +9,7 @@ import pytest
 
 from hil.testing.moves import follow, move
 from hil_drivers.cia402.robot import Cia402Robot
-from tests.support.can_mock import mock_can
+from tests.support.mock_servers import mock_can
 
 INTERFACE = "vcan0"
 

@@ -8,7 +8,7 @@ import pytest
 
 from hil.testing.driver_conformance import Bench, robot_conformance
 from hil_drivers.twincat.robot import TwinCatRobot
-from tests.support.plc_mock import MockPlc, mock_plc
+from tests.support.mock_servers import MockPlc, mock_plc
 
 pytestmark = [pytest.mark.wire, pytest.mark.timeout(240)]
 

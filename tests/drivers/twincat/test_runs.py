@@ -14,8 +14,8 @@ import yaml
 
 from hil.recording.mcap_reader import read_topic
 from hil_drivers.twincat.reading import TOPIC
+from tests.support.mock_servers import mock_plc
 from tests.support.paths import EXPERIMENTS
-from tests.support.plc_mock import mock_plc
 
 pytestmark = [pytest.mark.wire, pytest.mark.timeout(240)]
 

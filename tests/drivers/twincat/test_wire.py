@@ -31,8 +31,7 @@ from hil_drivers.twincat.reading import TOPIC
 from hil_drivers.twincat.robot import TwinCatRobot
 from hil_drivers.twincat.variables import CONTRACT
 from tests.support.in_time import InTime, measured_again
-from tests.support.plc_mock import MockPlc, mock_plc
-from tests.support.ur_mock import loopback
+from tests.support.mock_servers import MockPlc, loopback, mock_plc
 
 pytestmark = [pytest.mark.wire]
 

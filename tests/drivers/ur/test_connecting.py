@@ -20,8 +20,8 @@ from hil.core.errors import CommandRefused, HilError, RobotFault
 from hil.robot import HasChecks, Segment
 from hil.testing.moves import begin, follow, move, standing_at
 from hil_drivers.ur.robot import UrRobot
+from tests.support.mock_servers import mock_ur
 from tests.support.paths import EXPERIMENTS
-from tests.support.ur_mock import mock_ur
 from tests.support.waiting import until
 
 pytestmark = [pytest.mark.wire, pytest.mark.timeout(240)]

@@ -12,7 +12,7 @@ from hil.arms.payload import Payload
 from hil.core.errors import CommandRefused, PluginError, RobotConnectionError
 from hil_drivers.ur import control as module
 from hil_drivers.ur.control import Control
-from tests.support.ur_mock import loopback
+from tests.support.mock_servers import loopback
 
 
 class Interface:

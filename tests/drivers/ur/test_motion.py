@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import itertools
 import os
 import signal
 import socket
@@ -28,12 +27,9 @@ from hil.robot import Segment, Status
 from hil_drivers.ur import motion
 from hil_drivers.ur.motion import MotionProcess
 from tests.support.in_time import InTime, measured_again
-from tests.support.ur_driver_parts import own_address
+from tests.support.mock_servers import loopback
 
 pytestmark = pytest.mark.wire
-
-
-_lasts = itertools.count(20)
 
 
 class Desk:
@@ -77,7 +73,7 @@ def fake(monkeypatch, tmp_path):
     made = []
     log = tmp_path / "commands"
     log.touch()
-    address = own_address(next(_lasts))
+    address = loopback()
     desk = Desk(address)
 
     def make(how="", **options):

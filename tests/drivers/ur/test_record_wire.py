@@ -28,7 +28,7 @@ from hil.importers.sources import load_source
 from hil.robot import Listens, Status
 from hil_drivers.ur.robot import UrRobot
 from hil_drivers.ur.rtde import Receiver
-from tests.support.ur_mock import MockUr, mock_ur
+from tests.support.mock_servers import MockUr, mock_ur
 
 pytestmark = [pytest.mark.wire, pytest.mark.timeout(180)]
 

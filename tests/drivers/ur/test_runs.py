@@ -13,8 +13,8 @@ import yaml
 
 from hil.recording.mcap_reader import read_topic
 from hil_drivers.ur.state import TOPIC
+from tests.support.mock_servers import mock_ur
 from tests.support.paths import EXPERIMENTS
-from tests.support.ur_mock import mock_ur
 
 pytestmark = [pytest.mark.wire, pytest.mark.timeout(400)]
 

@@ -21,7 +21,7 @@ from hil_drivers.ur.options import Options
 from hil_drivers.ur.robot import UrRobot
 from hil_drivers.ur.state import TOPIC
 from tests.support.in_time import InTime, measured_again
-from tests.support.ur_mock import mock_ur
+from tests.support.mock_servers import mock_ur
 
 pytestmark = [pytest.mark.wire, pytest.mark.timeout(240)]
 

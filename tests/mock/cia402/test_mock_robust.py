@@ -21,7 +21,7 @@ from hil_mock_robot.cia402.mock import CanRequests, Mock
 from hil_mock_robot.plant.truth import draw_truth
 from hil_mock_robot.server.side_channel import SideChannel
 from tests.support.can_master import Master
-from tests.support.can_mock import mock_can
+from tests.support.mock_servers import mock_can
 
 
 class NoBus:
@@ -187,7 +187,10 @@ def test_a_mock_that_was_killed_leaves_its_channel_to_the_next(tmp_path: Path) -
 def test_requests_out_of_place_are_no_news_for_a_terminal(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    with mock_can(channel=tmp_path / "can.sock") as mock, mock.bus() as bus:
+    with (
+        mock_can(channel=tmp_path / "can.sock", by_command=True) as mock,
+        mock.bus() as bus,
+    ):
         for request in (
             b"\xc6\x7a\x60\x00\x04\x00\x00\x00",
             b"\x01" + bytes(7),

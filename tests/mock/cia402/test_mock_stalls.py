@@ -14,7 +14,7 @@ from hil_mock_robot.cia402 import keys
 from hil_mock_robot.cia402.power import State
 from tests.support.can_drive_parts import CSP, CST, CSV, OneDrive
 from tests.support.can_master import Master
-from tests.support.can_mock import MockCan, mock_can
+from tests.support.mock_servers import MockCan, mock_can
 
 ARM = load_arm("lab6")
 COUNTS = ARM.gear_ratio * 2**20 / (2 * math.pi)

@@ -16,7 +16,7 @@ from hil.arms import load_arm
 from hil.core.errors import CommandRefused, RobotConnectionError
 from hil_mock_robot.cia402.mock import TELL, main
 from tests.support.can_master import Master
-from tests.support.can_mock import mock_can
+from tests.support.mock_servers import mock_can
 
 pytestmark = pytest.mark.wire
 

@@ -19,8 +19,8 @@ from hil_mock_robot.ur.mock import TELL, main, serial_of
 from hil_mock_robot.ur.modes import RobotMode, SafetyMode
 from hil_mock_robot.ur.pacing import LockStep
 from hil_mock_robot.ur.side import SideService
+from tests.support.mock_servers import loopback, mock_ur
 from tests.support.ur_machine import Wire, machine_of
-from tests.support.ur_mock import loopback, mock_ur
 
 EMERGENCY_WAY = ("release_emergency_stop", "power_on", "brake_release")
 FAULT_WAY = ("restart_safety", "power_on", "brake_release")

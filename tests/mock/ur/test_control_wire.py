@@ -13,7 +13,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from hil.arms import load_arm
-from tests.support.ur_raw import mock
+from tests.support.mock_servers import mock_ur
 
 rtde_control = pytest.importorskip("rtde_control", reason="ur-rtde has no wheel for this Python")
 rtde_receive = pytest.importorskip("rtde_receive", reason="ur-rtde has no wheel for this Python")
@@ -94,7 +94,8 @@ def apart(pose, other):
 
 @pytest.fixture(scope="module", params=["ur5", "ur5e"])
 def desk(request):
-    with mock(41, "--model", request.param, "--speed", f"{SPEED:g}", "--side-port", "0") as where:
+    with mock_ur("--model", request.param, "--speed", f"{SPEED:g}") as mock:
+        where = mock.address
         receive = rtde_receive.RTDEReceiveInterface(where)
         control = rtde_control.RTDEControlInterface(where)
         yield Desk(request.param, where, receive, control)
@@ -424,7 +425,8 @@ def test_stop_script_and_reupload(at_home):
 
 
 def test_a_protective_stop_by_program(desk):
-    with mock(42, "--model", desk.model, "--speed", f"{SPEED:g}", "--side-port", "0") as where:
+    with mock_ur("--model", desk.model, "--speed", f"{SPEED:g}") as mock:
+        where = mock.address
         receive = rtde_receive.RTDEReceiveInterface(where)
         control = rtde_control.RTDEControlInterface(where)
         try:

@@ -10,8 +10,8 @@ import time
 
 import pytest
 
+from tests.support.mock_servers import mock_ur
 from tests.support.paths import FILES
-from tests.support.ur_raw import mock
 from tests.support.waiting import until
 
 dashboard_client = pytest.importorskip(
@@ -43,14 +43,14 @@ def unlocked(client):
 
 @pytest.fixture(scope="module")
 def e_series():
-    with mock(71, "--model", "ur5e", "--speed", "2", "--serial", "20225500042") as where:
-        yield where
+    with mock_ur("--model", "ur5e", "--speed", "2", "--serial", "20225500042") as mock:
+        yield mock.address
 
 
 @pytest.fixture(scope="module")
 def cb3():
-    with mock(72, "--model", "ur5", "--speed", "5") as where:
-        yield where
+    with mock_ur("--model", "ur5", "--speed", "5") as mock:
+        yield mock.address
 
 
 @pytest.mark.journey
@@ -146,7 +146,7 @@ def test_quitting_hangs_up(cb3):
 
 
 def test_local_control_is_told_to_the_dashboard_client():
-    with mock(73, "--model", "ur5e", "--local") as where, desk(where) as client:
+    with mock_ur("--model", "ur5e", "--local") as mock, desk(mock.address) as client:
         assert not client.isInRemoteControl()
         with pytest.raises(RuntimeError, match="switch robot to Remote Control mode"):
             client.play()
@@ -175,8 +175,8 @@ def test_the_control_interface_asks_the_dashboard_for_remote_control(e_series):
 
 
 def test_the_control_interface_is_refused_in_local_control():
-    with mock(75, "--model", "ur5e", "--local") as where:
-        ran = control(where)
+    with mock_ur("--model", "ur5e", "--local") as mock:
+        ran = control(mock.address)
     assert ran.returncode != 0
     assert "Please enable remote control on the robot!" in ran.stderr
 
@@ -222,7 +222,8 @@ def device_time_s(where):
 
 
 def test_who_reads_real_time_data_too_late_gets_whole_packets_with_gaps():
-    with mock(74, "--model", "ur5", "--speed", "free") as where, socket.socket() as late:
+    with mock_ur("--model", "ur5", "--speed", "free") as mock, socket.socket() as late:
+        where = mock.address
         late.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 8192)
         late.settimeout(5)
         late.connect((where, 30003))

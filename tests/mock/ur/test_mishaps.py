@@ -13,8 +13,9 @@ from hil_mock_robot.ur.pacing import FreeRun, LockStep
 from hil_mock_robot.ur.program import Threaded
 from hil_mock_robot.ur.rtde import RtdeService
 from hil_mock_robot.ur.side import SideService
+from tests.support.mock_servers import loopback
 from tests.support.ur_machine import Wire, machine_of, movej, pass_time
-from tests.support.ur_raw import Raw, address
+from tests.support.ur_raw import Raw
 
 
 class Wrong(Exception):
@@ -93,6 +94,9 @@ def test_in_tests_a_mistake_is_seen(what):
 # Clients
 
 
+WHERE = loopback()
+
+
 class BrokenService:
     """A port on which one word is a mistake, in the method of that name."""
 
@@ -126,7 +130,7 @@ def meeting(loop, raw):
     raw.send("V", struct.pack(">H", 2))
     raw.send("O", struct.pack(">d", 125.0) + b"timestamp")
     raw.send("S")
-    with socket.create_connection((address(60), BrokenService.port), 5.0) as other:
+    with socket.create_connection((WHERE, BrokenService.port), 5.0) as other:
         turns(loop)
         other.sendall(b"hello")
         turns(loop)
@@ -146,7 +150,7 @@ def loop_with():
         machine = machine_of()
         machine.mishaps.contained = is_contained
         services = [RtdeService(machine), BrokenService(where)]
-        loops.append(Loop(machine, services, FreeRun(), address(60)))
+        loops.append(Loop(machine, services, FreeRun(), WHERE))
         return loops[-1], machine
 
     yield make
@@ -158,7 +162,7 @@ def loop_with():
 @pytest.mark.parametrize("where", ["accept", "received", "ticked", "hung_up"])
 def test_a_mistake_with_one_client_hangs_up_on_that_client_only(where, loop_with):
     loop, machine = loop_with(where, True)
-    with Raw(address(60)) as raw:
+    with Raw(WHERE) as raw:
         meeting(loop, raw)
         assert [kind for kind, _ in (raw.receive() for _ in range(3))] == list("VOS")
         raw.names, raw.types, raw.protocol = ["timestamp"], ["DOUBLE"], 2
@@ -172,7 +176,7 @@ def test_a_mistake_with_one_client_hangs_up_on_that_client_only(where, loop_with
 @pytest.mark.parametrize("where", ["accept", "received", "ticked", "hung_up"])
 def test_in_tests_a_mistake_with_a_client_is_seen(where, loop_with):
     loop, _ = loop_with(where, False)
-    with Raw(address(60)) as raw, pytest.raises(Wrong):
+    with Raw(WHERE) as raw, pytest.raises(Wrong):
         meeting(loop, raw)
 
 

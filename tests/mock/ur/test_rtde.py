@@ -11,8 +11,8 @@ import time
 import numpy as np
 import pytest
 
-from tests.support.paths import FILES
-from tests.support.ur_raw import Raw, address, mock, started
+from tests.support.mock_servers import loopback, mock_ur, served
+from tests.support.ur_raw import Raw, started
 from tests.support.waiting import until
 
 rtde_receive = pytest.importorskip("rtde_receive")
@@ -20,9 +20,8 @@ rtde_io = pytest.importorskip("rtde_io")
 
 pytestmark = pytest.mark.wire
 
-DISTINCT = str(FILES / "ur_distinct.py")
-ARMS = [("ur5", 125.0, 5), ("ur5e", 500.0, 6)]
-BOTH = pytest.mark.parametrize(("arm", "rate_hz"), [each[:2] for each in ARMS])
+ARMS = [("ur5", 125.0), ("ur5e", 500.0)]
+BOTH = pytest.mark.parametrize(("arm", "rate_hz"), ARMS)
 GETTERS = {
     "target_q": "getTargetQ",
     "target_qd": "getTargetQd",
@@ -108,23 +107,25 @@ def snapshot(receive, getters):
 def controller():
     """Where a controller of an arm listens, in real time; each is started once."""
     with contextlib.ExitStack() as stack:
-        started = functools.cache(
-            lambda arm: stack.enter_context(mock(7 + len(arm), "--model", arm))
-        )
+        started = functools.cache(lambda arm: stack.enter_context(mock_ur("--model", arm)).address)
         yield started
 
 
 # The unmodified ur_rtde
 
 
-@pytest.mark.parametrize(("arm", "rate_hz", "number"), ARMS)
-def test_every_state_getter_of_ur_rtde_equals_the_outputs(arm, rate_hz, number):
+@BOTH
+def test_every_state_getter_of_ur_rtde_equals_the_outputs(arm, rate_hz):
+    where = loopback()
     getters = GETTERS | (E_GETTERS if arm == "ur5e" else {})
     names = ["timestamp", *getters]
     names += [f"output_int_register_{i}" for i in INTS]
     names += [f"output_double_register_{i}" for i in DOUBLES]
     with (
-        mock(number, "--model", arm, "--speed", str(5 / rate_hz), script=DISTINCT) as where,
+        served(
+            "tests.support.ur_distinct",
+            ["--address", where, "--model", arm, "--speed", str(5 / rate_hz)],
+        ),
         started(where, names, rate_hz) as raw,
         receiving(where) as receive,
     ):
@@ -289,7 +290,7 @@ def test_a_control_loop_writes_set_points_and_reads_them_back(controller):
 
 
 def test_accelerated_time_loses_nothing_when_a_client_is_slow():
-    with mock(16, "--speed", "free") as where, started(where, RECORDED.split()) as raw:
+    with mock_ur("--speed", "free") as mock, started(mock.address, RECORDED.split()) as raw:
         ticks = []
         for number in range(3000):
             if number % 1000 == 0:
@@ -321,10 +322,10 @@ def looped():
     with contextlib.ExitStack() as stack:
 
         def make(patient):
-            machine = machine_of()
-            loop = Loop(machine, [RtdeService(machine)], Permits(patient), address(17))
+            machine, where = machine_of(), loopback()
+            loop = Loop(machine, [RtdeService(machine)], Permits(patient), where)
             stack.callback(loop.close)
-            raw = stack.enter_context(Raw(address(17), receive_buffer=4096))
+            raw = stack.enter_context(Raw(where, receive_buffer=4096))
             names = b"actual_q,actual_qd,actual_current,joint_temperatures,target_q"
             raw.send("V", b"\x00\x02")
             raw.send("O", struct.pack(">d", 125.0) + names)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import rtde_control
 
-from tests.support.ur_mock import loopback, mock_ur
+from tests.support.mock_servers import loopback, mock_ur
 from tests.support.ur_raw import Raw
 from tests.support.waiting import until
 
@@ -67,7 +67,8 @@ def test_the_side_channel_tells_the_truth_and_answers_mistakes_in_words():
             {"do": "speed", "factor": 0},
             {"do": "step"},
         ):
-            answer = mock.ask(**request)
+            mock._line.sendall(json.dumps(request).encode() + b"\n")
+            answer = json.loads(mock._answers.readline())
             assert answer["error"]
             assert answer["hint"]
         mock._line.sendall(b"not json\n[1]\n")
