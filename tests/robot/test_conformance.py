@@ -1,13 +1,17 @@
-"""Every robot here keeps the contract of `hil.robot.Robot`, and the checks find who does not."""
+"""Every robot keeps the contract of `hil.robot.Robot`, and the checks find one that does not."""
 
 from __future__ import annotations
 
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, closing, contextmanager
 from dataclasses import replace
-from typing import Any
+from importlib.metadata import entry_points
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, TypeAlias
 
 import numpy as np
 import pytest
@@ -21,65 +25,171 @@ from hil.testing.driver_conformance import (
     BENCH,
     CONNECTED,
     FAULTY,
+    SEEN,
     Bench,
     NotConforming,
     a_fault_surfaces_in_the_next_read,
     robot_conformance,
     rows_are_in_the_units_they_say,
 )
+from hil_drivers.cia402.robot import Cia402Robot
+from hil_drivers.twincat.robot import TwinCatRobot
+from hil_drivers.ur.options import Options
+from hil_drivers.ur.robot import UrRobot
 from hil_mock_robot.embedded.robot import MockRobot
+from tests.support.cia402_robot import BusEar, options
 from tests.support.kinematic_robot import KinematicRobot
+from tests.support.mock_servers import mock_can, mock_plc, mock_ur
+
+Place: TypeAlias = tuple[Callable[[], Robot], Bench]
+"""Makes the robot, and what there is beside it."""
 
 
-def embedded_mock() -> Robot:
-    return MockRobot("bench", "ur5")
+@contextmanager
+def kinematic() -> Iterator[Place]:
+    yield KinematicRobot, Bench()
 
 
-def mock_in_wall_time() -> Robot:
-    return MockRobot("bench", "ur5", clock="wall")
+@contextmanager
+def embedded() -> Iterator[Place]:
+    """A push that is too strong makes it fault."""
+
+    def push(robot: Robot) -> None:
+        assert isinstance(robot, MockRobot)
+        robot.push([200.0, 0, 0, 0, 0, 0])
+
+    yield lambda: MockRobot("bench", "ur5"), Bench(fault=push)
 
 
-def kinematic_in_its_own_process() -> Robot:
-    return RobotProcess("tests.support.process_drivers:Kinematic", "bench", "ur5")
+@contextmanager
+def embedded_in_wall_time() -> Iterator[Place]:
+    yield lambda: MockRobot("bench", "ur5", clock="wall"), Bench()
 
 
-def mock_in_wall_time_in_its_own_process() -> Robot:
-    return RobotProcess("mock", "bench", "lab6", {"clock": "wall"})
+def in_its_own_process(driver: str, model: str, options: dict[str, Any] | None = None) -> Any:
+    @contextmanager
+    def place() -> Iterator[Place]:
+        yield lambda: RobotProcess(driver, "bench", model, options or {}), Bench()
+
+    return place
 
 
-def other_arm_in_its_own_process() -> Robot:
-    return RobotProcess("tests.support.process_drivers:WallArm", "bench", "ur5")
+def ur(model: str) -> Any:
+    """A mock controller whose journal is the witness and whose side channel makes it fault."""
+
+    @contextmanager
+    def place() -> Iterator[Place]:
+        with TemporaryDirectory() as folder:
+            journal = Path(folder, "journal")
+            with mock_ur("--model", model, journal=journal) as running:
+                yield (
+                    lambda: UrRobot("arm", model, address=running.address),
+                    Bench(
+                        move_ramp_rad_s2=Options(running.address).stop_rad_s2,
+                        trajectory_ramp_rad_s2=STOPL_RAD_S2,
+                        stop_seen=lambda asked: first_stop(running.journal("stop"), asked),
+                        fault=lambda robot: running.side("fault", kind="protective_stop"),
+                    ),
+                )
+
+    return place
 
 
-ALWAYS = len(BEFORE_AND_AFTER) + len(CONNECTED) + len(BENCH)
+STOPL_RAD_S2 = 1.0
+"""What 10 m/s² at the tool, its option `stop_m_s2`, are at the last joint at least."""
 
 
-@pytest.mark.thorough
+@contextmanager
+def cia402() -> Iterator[Place]:
+    """Mock drives: a listener on their bus is the witness, their side channel makes them fault."""
+    with mock_can() as running, closing(BusEar(running.bus())) as ear:
+        yield (
+            lambda: Cia402Robot("arm", "lab6", **options(running)),
+            Bench(
+                move_ramp_rad_s2=8.0,
+                trajectory_ramp_rad_s2=8.0,
+                stop_seen=ear.first_after,
+                fault=lambda robot: running.tell("fault", kind="emergency", axis=2, code=0x2310),
+            ),
+        )
+
+
+@contextmanager
+def twincat() -> Iterator[Place]:
+    """A mock PLC whose journal is the witness and whose side channel makes it fault."""
+    with TemporaryDirectory() as folder, mock_plc(Path(folder), "--speed", "6") as running:
+        yield (
+            lambda: TwinCatRobot("arm", "lab6", address=running.address),
+            Bench(
+                move_ramp_rad_s2=8.0,
+                trajectory_ramp_rad_s2=8.0,
+                stop_seen=lambda asked: first_stop(running.journal("stop"), asked),
+                fault=lambda robot: running.side(kind="drive_fault"),
+            ),
+        )
+
+
+def first_stop(stops: Sequence[Mapping[str, Any]], asked: float) -> float | None:
+    """The first stop in a journal since a moment of `time.monotonic`."""
+    return next((at for line in stops if (at := float(line["monotonic_s"])) >= asked), None)
+
+
+UNREACHABLE = ("a_robot_in_wall_time_says_which_one_it_is",)
+"""Nobody outside its process can reach an embedded mock in wall time."""
+
+WIRE, PROOF = pytest.mark.wire, (pytest.mark.wire, pytest.mark.proof)
+ROBOTS = {
+    "kinematic robot": ("", kinematic, (), pytest.mark.thorough),
+    "embedded mock": ("mock", embedded, (), pytest.mark.thorough),
+    "kinematic robot in its own process": (
+        "",
+        in_its_own_process("tests.support.process_drivers:Kinematic", "ur5"),
+        (),
+        pytest.mark.thorough,
+    ),
+    "embedded mock in wall time": ("mock", embedded_in_wall_time, UNREACHABLE, PROOF),
+    "embedded mock in wall time in its own process": (
+        "mock",
+        in_its_own_process("mock", "lab6", {"clock": "wall"}),
+        UNREACHABLE,
+        WIRE,
+    ),
+    "other arm in its own process": (
+        "",
+        in_its_own_process("tests.support.process_drivers:WallArm", "ur5"),
+        (),
+        PROOF,
+    ),
+    "UR5 over RTDE": ("ur", ur("ur5"), (), WIRE),
+    "UR5e over RTDE": ("ur", ur("ur5e"), (), PROOF),
+    "CiA 402 drives over CAN": ("cia402", cia402, (), WIRE),
+    "PLC over ADS": ("twincat", twincat, (), WIRE),
+}
+"""Robot → driver, where it is tested, what is left out there, tier.
+
+Drivers have their own options: nothing is made easier for them here.
+"""
+
+
+@pytest.mark.timeout(240)
 @pytest.mark.parametrize(
-    "make_robot", [KinematicRobot, embedded_mock, kinematic_in_its_own_process]
+    ("place", "leave_out"),
+    [pytest.param(*each[1:3], marks=each[3], id=name) for name, each in ROBOTS.items()],
 )
-def test_a_robot_on_a_virtual_clock_conforms(make_robot: Callable[[], Robot]) -> None:
-    assert len(robot_conformance(make_robot)) == ALWAYS
-
-
-PRIVATE = ["a_robot_in_wall_time_says_which_one_it_is"]
-"""Nobody outside its process can reach a mock in wall time."""
-
-
-@pytest.mark.wire
-@pytest.mark.parametrize(
-    ("make_robot", "leave_out"),
-    [
-        pytest.param(mock_in_wall_time, PRIVATE, marks=pytest.mark.proof),
-        (mock_in_wall_time_in_its_own_process, PRIVATE),
-        pytest.param(other_arm_in_its_own_process, [], marks=pytest.mark.proof),
-    ],
-)
-def test_a_robot_in_wall_time_conforms(
-    make_robot: Callable[[], Robot], leave_out: list[str]
+def test_a_robot_keeps_the_contract(
+    place: Callable[[], AbstractContextManager[Place]], leave_out: Sequence[str]
 ) -> None:
-    done = robot_conformance(make_robot, leave_out=leave_out)
-    assert len(done) == ALWAYS - len(leave_out)
+    with place() as (make_robot, bench):
+        done = robot_conformance(make_robot, leave_out=leave_out, bench=bench)
+    asked = (*SEEN * bool(bench.stop_seen), *FAULTY * bool(bench.fault))
+    wanted = (*BEFORE_AND_AFTER, *CONNECTED, *BENCH, *asked)
+    assert sorted((*done, *leave_out)) == sorted(check.__name__ for check in wanted)
+
+
+def test_every_driver_is_held_to_the_contract() -> None:
+    assert {entry.name for entry in entry_points(group="hil.drivers")} <= {
+        driver for driver, *_ in ROBOTS.values()
+    }
 
 
 class SlowToStop(KinematicRobot):
@@ -250,17 +360,6 @@ def both(*changes: Callable[[StructArray], None]) -> Callable[[StructArray], Non
             each(block)
 
     return change
-
-
-def pushed(robot: Robot) -> None:
-    assert isinstance(robot, MockRobot)
-    robot.push([200.0, 0, 0, 0, 0, 0])
-
-
-def test_a_fault_of_the_embedded_mock_surfaces_in_the_next_read() -> None:
-    left_out = [check.__name__ for check in (*BEFORE_AND_AFTER, *CONNECTED, *BENCH)]
-    done = robot_conformance(embedded_mock, leave_out=left_out, bench=Bench(fault=pushed))
-    assert done == tuple(check.__name__ for check in FAULTY)
 
 
 @pytest.mark.wire

@@ -151,8 +151,8 @@ def loop_of(given: argparse.Namespace, address: str, factor: float) -> Loop:
     fill_info(memory, arm, given)
     program = PlcProgram(memory, arm)
     handler = PlcHandler(memory, AMS_PORT)
-    links = Links(address, handler)
     planned = PlcFault.read(given.faults) if given.faults else ()
+    links = Links(address, handler)
     faults = Faults(Target(program, handler, links), PlcFault, CYCLE_S, planned)
 
     def count_motions(event: str, details: dict[str, Any]) -> None:

@@ -312,13 +312,6 @@ def test_one_plc_is_one_resource_however_it_is_written_and_whatever_arm_of_it():
     assert len({options_of(each, "lab6").resource for each in written}) == 1
 
 
-def test_a_mock_that_others_could_reach_is_refused(capsys):
-    from hil_mock_robot.twincat.mock import main
-
-    assert main(["--address", "0.0.0.0"]) == 2
-    assert "no loopback address" in capsys.readouterr().err
-
-
 def test_of_two_faults_of_a_kind_the_last_to_end_puts_things_right():
     links = SimpleNamespace(silent=False)
     mock = Target(None, None, links)

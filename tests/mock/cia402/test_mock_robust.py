@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import random
-import signal
 import socket
 import struct
 import time
@@ -171,16 +170,6 @@ def test_a_client_of_the_side_channel_gets_all_of_a_long_answer(
         assert answers.count(b"\n") == 800
     assert all(json.loads(each)["synced"] is not None for each in answers.splitlines())
     side.close()
-
-
-@pytest.mark.wire
-def test_a_mock_that_was_killed_leaves_its_channel_to_the_next(tmp_path: Path) -> None:
-    channel = tmp_path / "can.sock"
-    with mock_can(channel=channel) as killed:
-        killed.end(signal.SIGKILL)
-    with mock_can(channel=channel) as mock, mock.bus() as bus:
-        assert Master(bus).upload(1, 0x1000) == 0x0002_0192
-        assert mock.state()["faults"] == []
 
 
 @pytest.mark.wire

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import math
-import signal
 import time
 from pathlib import Path
 
@@ -13,8 +11,6 @@ import numpy as np
 import pytest
 
 from hil.arms import load_arm
-from hil.core.errors import CommandRefused, RobotConnectionError
-from hil_mock_robot.cia402.mock import TELL, main
 from tests.support.can_master import Master
 from tests.support.mock_servers import mock_can
 
@@ -99,38 +95,6 @@ def test_a_frame_takes_its_time_on_a_modelled_wire() -> None:
             took.append(time.monotonic() - began)
         # SYNC, 6 RPDOs and 6 TPDOs of 7 bytes, 6 of 8: at least their bits without stuffing.
         assert min(took) >= (47 + 12 * (47 + 56) + 6 * (47 + 64)) * 1e-6
-
-
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
-def test_it_ends_when_told_and_leaves_nothing_behind(how: signal.Signals, tmp_path: Path) -> None:
-    channel = tmp_path / "can.sock"
-    with mock_can(channel=channel, journal=tmp_path / "journal") as mock:
-        assert mock.end(how) == 0
-        assert mock.journal()[-1]["event"] == "closed"
-    assert {path.name for path in tmp_path.iterdir()} <= {"journal", "can.sock.lock"}
-
-
-def test_the_side_channel_serves_shells_and_says_what_cannot_be(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    with mock_can() as mock:
-        here = ["--channel", mock.channel]
-        assert main(["tell", *here, "fault", "bit12_low", "axis=3"]) == 0
-        assert json.loads(capsys.readouterr().out) == {"fault": "bit12_low"}
-        assert mock.state()["faults"] == ["bit12_low"]
-        mock.tell("mount", mass_kg=3.0, com_m=[0, 0, 0.05])
-        assert mock.state()["mounted_kg"] == 3.0
-        with pytest.raises(CommandRefused, match="quake"):
-            mock.tell("fault", kind="quake")
-        assert main(["tell", *here, "fault", "quake"]) == 4
-        assert "next:" in capsys.readouterr().err
-        assert main(here) == 2
-        assert "is taken" in capsys.readouterr().err
-
-
-def test_nobody_answers_where_no_mock_runs(tmp_path: Path) -> None:
-    with pytest.raises(RobotConnectionError, match="no mock drives answer"):
-        TELL.ask(str(tmp_path / "can.side"), {"do": "state"})
 
 
 def test_any_tool_of_python_can_sees_the_bus() -> None:

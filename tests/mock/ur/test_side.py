@@ -1,8 +1,6 @@
 """The mock UR controller as a process: side channel, lock-step, faults and journal over sockets."""
 
 import contextlib
-import json
-import signal
 import struct
 import subprocess
 import sys
@@ -12,7 +10,9 @@ import numpy as np
 import pytest
 import rtde_control
 
-from tests.support.mock_servers import loopback, mock_ur
+from hil.core.errors import CommandRefused
+from hil_mock_robot.ur.mock import TELL
+from tests.support.mock_servers import SIDE_PORT, mock_ur
 from tests.support.ur_raw import Raw
 from tests.support.waiting import until
 
@@ -59,20 +59,10 @@ def test_the_side_channel_tells_the_truth_and_answers_mistakes_in_words():
         state = mock.side("state")
         assert np.degrees(state["q"]) == pytest.approx([0, -90, 30, -90, 0, 0], abs=0.05)
         assert (state["robot_mode"], state["safety_mode"]) == ("RUNNING", "NORMAL")
-        for request in (
-            {"do": "dance"},
-            {"do": "fault", "kind": "quake"},
-            {"do": "push", "torque": [1]},
-            {"do": "mount", "mass_kg": -1},
-            {"do": "speed", "factor": 0},
-            {"do": "step"},
-        ):
-            mock._line.sendall(json.dumps(request).encode() + b"\n")
-            answer = json.loads(mock._answers.readline())
-            assert answer["error"]
-            assert answer["hint"]
-        mock._line.sendall(b"not json\n[1]\n")
-        assert all("error" in json.loads(mock._answers.readline()) for _ in range(2))
+        for request in ({"do": "speed", "factor": 0}, {"do": "step"}):
+            with pytest.raises(CommandRefused) as refused:
+                TELL.ask((mock.address, SIDE_PORT), request)
+            assert refused.value.hint
 
 
 def test_what_hangs_at_the_flange_and_what_pushes_it_change_the_currents():
@@ -371,35 +361,3 @@ def test_a_watchdog_that_nobody_feeds_stops_the_arm(tmp_path):
 
 
 # The process
-
-
-@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
-def test_signals_end_it_in_order(how, tmp_path):
-    with mock_ur(journal=tmp_path / "journal.jsonl") as mock:
-        assert mock.end(how) == 0
-    assert mock.journal()[-1]["event"] == "closed"
-
-
-def test_several_mocks_live_side_by_side_and_one_address_is_for_one():
-    with mock_ur("--seed", "1") as one, mock_ur("--seed", "2", "--model", "ur5e") as other:
-        one.side("fault", kind="emergency_stop")
-        until(lambda: one.side("state")["safety_mode"] == "ROBOT_EMERGENCY_STOP")
-        assert other.side("state")["safety_mode"] == "NORMAL"
-        third = ended("--address", one.address)
-        assert third.returncode == 2
-        assert "--address" in third.stderr
-
-
-@pytest.mark.parametrize("text", ["- {kind: quake, at_s: 1}", "- {kind: cut}"])
-def test_a_wrong_file_of_faults_ends_it_in_words_before_it_listens(text, tmp_path):
-    path = tmp_path / "faults.yaml"
-    path.write_text(text)
-    done = ended("--address", loopback(), "--faults", str(path))
-    assert done.returncode == 2
-    assert "faults.yaml" in done.stderr
-    assert "next: " in done.stderr
-
-
-def ended(*arguments):
-    command = [sys.executable, "-m", "hil_mock_robot", "ur", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
