@@ -327,11 +327,17 @@ def test_the_send_script_example_of_urs_client_library(arm, powered):
     client = Client(arm, powered=powered)
 
     def sent(text, seconds):
+        """What is told until no program plays any more."""
         client.wire.take()
         client.session.received(text.encode())
-        return titles_of(client.wire.take() + client.after(seconds))
+        told, end = client.wire.take() + client.after(0.1), client.machine.now_s + seconds
+        while client.machine.program is not None:
+            told += client.after(0.1)
+            assert client.machine.now_s < end
+        return titles_of(told)
 
-    assert sent("set robotmode run\n", 3.0) == []
+    client.session.received(b"set robotmode run\n")
+    assert titles_of(client.after(3.0)) == []
     assert client.state[0][15] == RobotMode.RUNNING
     started, stopped = b"PROGRAM_XXX_STARTED", b"PROGRAM_XXX_STOPPED"
     assert sent(EXAMPLE_FUN, 6.0) == [(started, b"example_fun"), (stopped, b"example_fun")]
