@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import json
-import os
 from pathlib import Path
 
 import pytest
 
 from tests.faults.cases import FAULTS, SPEED, Case, at_once, cases
 from tests.faults.field import run_field
-
-LOST_AT_MOST_S = 0.25
-"""Wall time of samples that a kill may cost."""
+from tests.faults.judging import LOST_AT_MOST_S, errors_of, keep
 
 pytestmark = pytest.mark.matrix
-
 
 JOURNEYS = ("kill -9", "robot fault", "disk full")
 
@@ -32,8 +27,8 @@ FIELDS = [pytest.param(case, marks=_marks(case), id=str(case)) for case in cases
 @pytest.mark.parametrize("case", FIELDS)
 def test_field_of_the_fault_matrix(case: Case, tmp_path: Path) -> None:
     field = run_field(case, tmp_path)
-    _keep(case, field.to_dict())
-    told = (tmp_path / "stderr.txt").read_text("utf-8")[-2000:]
+    keep(case, field.to_dict())
+    told = errors_of(tmp_path)
     ending = case.ending
     assert (field.outcome, field.exit_code) == (ending.outcome, ending.exit_code), told
     if ending.stop_within_s is None:
@@ -55,10 +50,3 @@ def test_every_fault_of_the_matrix_can_be_made() -> None:
 
     here = {name for name, ending in FAULTS.items() if not ending.mock} - {"raising observer"}
     assert here | {ending.host for ending in OVER_CAN.values()} - {""} == set(MADE)
-
-
-def _keep(case: Case, field: dict[str, object]) -> None:
-    """What was measured, for `make fault-matrix`, which writes the table in the docs."""
-    if folder := os.environ.get("HIL_MATRIX"):
-        row = {"step": case.step, "fault": case.fault, **field}
-        Path(folder, f"{case}.json").write_text(json.dumps(row), "utf-8")
