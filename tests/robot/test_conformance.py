@@ -117,7 +117,7 @@ def cia402() -> Iterator[Place]:
 @contextmanager
 def twincat() -> Iterator[Place]:
     """A mock PLC whose journal is the witness and whose side channel makes it fault."""
-    with TemporaryDirectory() as folder, mock_plc(Path(folder), "--speed", "6") as running:
+    with TemporaryDirectory() as folder, mock_plc(Path(folder), "--speed", "3") as running:
         yield (
             lambda: TwinCatRobot("arm", "lab6", address=running.address),
             Bench(

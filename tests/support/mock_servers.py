@@ -287,9 +287,15 @@ class MockCan(MockServer):
         """Return the truth about the arm."""
         return self.tell("state")
 
-    def wait_until(self, true: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+    def wait_until(
+        self, true: Callable[[dict[str, Any]], bool], within_s: float = 30.0
+    ) -> dict[str, Any]:
         """Wait until `true(state())`; return that state."""
-        return until(lambda: state if true(state := self.state()) else {}, every_s=0.02)
+
+        def look() -> dict[str, Any]:
+            return state if true(state := self.state()) else {}
+
+        return until(look, within_s, every_s=0.02)
 
     def bus(self, **more: Any) -> can.BusABC:
         """Return another participant of its bus; close it with `shutdown` or `with`."""

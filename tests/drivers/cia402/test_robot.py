@@ -1,7 +1,12 @@
 """The robot layer of the CiA 402 driver, without a bus."""
 
+from __future__ import annotations
+
 import sys
+import time
+from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,25 +15,30 @@ from hil.arms import load_arm
 from hil.arms.payload import Payload
 from hil.core.errors import CommandRefused, RobotConnectionError, RobotFault, SpecError
 from hil.dynamics.robot_model import RobotModel
-from hil.robot import HasChecks, HasResource, HasTopics, RobotProcess, Segment
+from hil.robot import HasChecks, HasResource, HasTopics, RobotProcess, Segment, Status
 from hil_drivers.arm import limits_of
+from hil_drivers.cia402 import objects as od
 from hil_drivers.cia402.axes_robot import AxesRobot
 from hil_drivers.cia402.can_channel import open_bus
-from hil_drivers.cia402.can_cycle import quick_stop_frames, stop_directly
+from hil_drivers.cia402.can_cycle import Counts, quick_stop_frames, stop_directly
 from hil_drivers.cia402.commissioning import (
     Commissioned,
     Drive,
     LeftFault,
     declare,
     require_resettable,
+    set_mode,
 )
+from hil_drivers.cia402.mapping import MAPPINGS
 from hil_drivers.cia402.options import options_of
-from hil_drivers.cia402.player import track_of
+from hil_drivers.cia402.player import KV_PER_S, LOOP_RAD_S, gains_of, track_of
 from hil_drivers.cia402.profile import AxisProfile, Scaling
 from hil_drivers.cia402.robot import Cia402Robot
 from hil_drivers.cia402.rows import TOPIC
-from hil_drivers.cia402.session import Thermometer, Trouble
+from hil_drivers.cia402.session import Session, Thermometer, Trouble, outside_of
 from hil_drivers.cia402.torque import TorqueModel
+from hil_mock_robot.cia402.keys import key
+from tests.support.cia402_drives import drives
 
 ARM = load_arm("lab6")
 PROFILES = [AxisProfile(1 << 20, float(gear), 2.0, 1.0) for gear in ARM.gear_ratio]
@@ -350,3 +360,252 @@ def test_where_python_can_is_missing_the_process_that_joins_the_bus_says_so(
     robot = Cia402Robot.__new__(Cia402Robot)
     robot.connect()
     assert asked == [robot]
+
+
+# What the next read raises, and what drives are told beside their process data.
+
+
+ROWS = np.array([(0,)], dtype=[("status", "<u2")])
+
+
+def trouble_of(line: Any, problem: str, **samples: Any) -> Trouble:
+    told = [problem, ""]
+    core: Any = SimpleNamespace(take_problem=lambda: told.pop(0) if told else "")
+    of_cycles: Any = SimpleNamespace(**({"faulty": [], "silent": []} | samples))
+    return Trouble("arm", core, line.master, of_cycles)
+
+
+def test_axes_that_process_data_do_not_reach_are_stopped_by_objects() -> None:
+    with drives(2) as line:  # pre-operational: they take no RPDOs
+        line.nodes[1].registers[key(0x6041)] = 0x0250
+        trouble = trouble_of(line, "joint_2: has started anew", silent=[1])
+        trouble.look(ROWS)
+        assert [node.registers[key(0x6040)] for node in line.nodes] == [2, 2]
+        with pytest.raises(RobotFault, match=r"6041h: joint_2 \(node 2\) switch on disabled"):
+            trouble.raise_it()
+
+
+@pytest.mark.parametrize(
+    ("silent", "hint"), [([0, 1], "see to the bus"), ([1], "see to the cause")]
+)
+def test_where_nobody_answers_the_bus_is_what_to_look_at(silent: list[int], hint: str) -> None:
+    with drives(2) as line:
+        trouble = trouble_of(line, "has not answered", silent=silent)
+        trouble.look(ROWS)
+        with pytest.raises(RobotFault) as caught:
+            trouble.raise_it()
+        assert hint in caught.value.hint
+
+
+def test_nothing_is_sent_while_all_is_well() -> None:
+    with drives(2) as line:
+        line.sent.clear()
+        trouble_of(line, "").look(ROWS)
+        assert [can_id for can_id, _ in line.sent if can_id >= 0x600] == []
+
+
+def test_silent_drives_do_not_keep_a_fault_from_being_told() -> None:
+    with drives(2) as line:
+        line.lost = lambda can_id, _: can_id == 0x581
+        line.nodes[1].registers[key(0x603F)] = 0x2310
+        rows = ROWS.copy()
+        rows["status"] = int(Status.FAULT)
+        trouble = trouble_of(line, "joint_1: its heartbeat is overdue", faulty=[0, 1], silent=[0])
+        began = time.monotonic()
+        trouble.look(rows)
+        with pytest.raises(RobotFault, match=r"603Fh: joint_2 \(node 2\) .*2310h") as caught:
+            trouble.raise_it()
+        assert time.monotonic() - began < 0.5
+        assert "6041h" not in caught.value.message
+
+
+def test_a_fault_told_by_an_emcy_alone_is_asked_for_once_all_axes_were_told_to_stop() -> None:
+    """It comes before the process data that show it, so that no row says which axis it is."""
+    with drives(2) as line:
+        line.nodes[1].registers[key(0x6041)] = 0x0218
+        line.nodes[1].registers[key(0x603F)] = 0x8611
+        line.nodes[0].registers[key(0x603F)] = 0x8130  # its last error, long gone
+        trouble = trouble_of(line, "joint_2 (node 2): following error (8611h)")
+        line.sent.clear()
+        trouble.look(ROWS)
+        with pytest.raises(RobotFault, match=r"\(603Fh: joint_2 \(node 2\) [^;]*8611h\)\)\n"):
+            trouble.raise_it()
+        asked = [
+            int.from_bytes(data[1:3], "little") for can_id, data in line.sent if can_id > 0x600
+        ]
+        assert asked == [0x6040, 0x6040, 0x6041, 0x6041, 0x603F]
+
+
+# A stop that comes while the drives are being connected leaves them off.
+
+
+STEPS = ["join", "open", "operational", "run", "reset_faults", "enable", "look", "switch", "ask"]
+STEPS += ["forget"]
+
+
+class Steps:
+    """Plays a session: notes what is done, and has something happen at one step."""
+
+    def __init__(self, at: str, happens: Any) -> None:
+        self.done: list[str] = []
+        self._at, self._happens = at, happens
+
+    def step(self, name: str) -> Any:
+        def do(*_: Any, **__: Any) -> None:
+            self.done.append(name)
+            if name == self._at:
+                self._happens()
+
+        return do
+
+    def session(self, *_: Any) -> Any:
+        self.step("join")()
+        core = {name: self.step(name) for name in STEPS} | {"stop": lambda _: None}
+        made = object.__new__(Session)
+        made.core = SimpleNamespace(**core)  # type: ignore[assignment]
+        made.acyclic = SimpleNamespace(operational=self.step("operational"), n=6)  # type: ignore[assignment]
+        made.options = SimpleNamespace(trajectory_mode="cst", stop_rad_s2=1.0)  # type: ignore[assignment]
+        made.mapping, made.faults_reset = MAPPINGS["position"], [object()]  # type: ignore[list-item]
+        made.leave = self.step("leave")  # type: ignore[method-assign]
+        made.require_plausible_torques = self.step("look")  # type: ignore[method-assign]
+        made.thermometer = SimpleNamespace(ask_all=self.step("ask"))  # type: ignore[assignment]
+        made.samples = SimpleNamespace(forget=self.step("forget"))  # type: ignore[assignment]
+        made.trouble = SimpleNamespace(is_there=False)  # type: ignore[assignment]
+        return made
+
+
+@pytest.mark.parametrize("at", STEPS)
+def test_a_stop_at_any_step_refuses_and_leaves_the_axes_off(monkeypatch, at: str) -> None:
+    robot = AxesRobot("arm", "lab6", **GIVEN)
+    steps = Steps(at, robot.stop)
+    monkeypatch.setattr(robot, "_join", steps.session)
+    with pytest.raises(CommandRefused, match="stopped while connecting"):
+        robot.connect()
+    assert steps.done[-1] == "leave"
+    if STEPS.index(at) < STEPS.index("enable"):
+        assert "enable" not in steps.done
+    assert steps.done.count("switch") == (at in STEPS[STEPS.index("switch") :])
+
+
+def test_a_robot_that_was_stopped_before_is_connected(monkeypatch) -> None:
+    robot = AxesRobot("arm", "lab6", **GIVEN)
+    steps = Steps("nowhere", robot.stop)
+    monkeypatch.setattr(robot, "_join", steps.session)
+    robot.stop()
+    robot.connect()
+    assert steps.done == STEPS
+
+
+# What the driver says about the bus before a motion.
+
+
+def test_what_has_gone_wrong_on_the_bus_is_told_with_its_number() -> None:
+    told = str(Counts(missing=12, late=3, foreign=1))
+    assert told == (
+        "12 answers (TPDOs) missing, 3 of them late, 1 frames of nodes that are not ours"
+    )
+    assert str(Counts(doubled=2)) == "2 doubled"
+
+
+def test_a_bus_on_which_nothing_went_wrong_is_not_spoken_of() -> None:
+    assert str(Counts()) == ""
+
+
+def test_a_joint_outside_of_its_range_is_named_with_the_figures() -> None:
+    limits = limits_of("lab6")
+    names = [f"joint_{axis + 1}" for axis in range(6)]
+    assert outside_of(limits.q_max, limits, names) == []
+    at = np.zeros(6)
+    at[1] = limits.q_min[1] - 0.5
+    (said,) = outside_of(at, limits, names)
+    low, high = np.degrees([limits.q_min[1], limits.q_max[1]])
+    assert said == (
+        f"joint_2 is at {low - np.degrees(0.5):.1f}°, outside of its range of {low:.1f} to "
+        f"{high:.1f}°"
+    )
+
+
+# The mode by object, where the process data do not carry it.
+
+
+class Modes:
+    """Drives that show a mode after some looks; one stays where it is."""
+
+    def __init__(self, shows, stuck=()):
+        self.shows, self.stuck, self.looks = list(shows), stuck, 0
+        self.written = [0] * len(self.shows)
+
+    def name_of(self, axis):
+        return f"joint_{axis + 1}"
+
+    def upload(self, axis, entry):
+        assert entry == od.MODE_DISPLAY
+        self.looks += 1
+        if self.looks > 3 and axis not in self.stuck:
+            self.shows[axis] = self.written[axis]
+        return self.shows[axis]
+
+    def download(self, axis, entry, value):
+        assert entry == od.MODE
+        self.written[axis] = value
+
+
+def test_only_the_minimal_mapping_lacks_the_mode():
+    assert {name for name, mapping in MAPPINGS.items() if not mapping.carries_mode} == {"minimal"}
+
+
+def test_a_mode_that_was_left_in_the_drives_is_replaced_and_waited_for():
+    modes = Modes([od.CST, od.CST])
+    set_mode(modes, range(2), od.CSP)
+    assert modes.written == modes.shows == [od.CSP, od.CSP]
+
+
+def test_a_drive_that_stays_in_its_mode_is_named_with_it():
+    modes = Modes([od.CST, od.CST], stuck=(1,))
+    with pytest.raises(CommandRefused, match=r"joint_2: mode 8 \(csp\).* shows 10 \(cst\)"):
+        set_mode(modes, range(2), od.CSP, within_s=0.05)
+
+
+# Gains of CST and CSV in the drives' units, checked in N·m and rad/s.
+
+
+AXIS = AxisProfile(1 << 20, 121.0, 2.5, 1.3)
+TURNED = replace(AXIS, polarity=0xC0, velocity_unit="0.001 rpm")  # position counts backwards
+AXES = [AXIS, TURNED, replace(AXIS, direction=-1), AXIS, AXIS, AXIS]
+GAIN_SCALING = Scaling(AXES)
+DRIVES = [Drive({"max_torque": 1500}, axis) for axis in AXES]
+GAINS = [{"stiffness_nm_rad": 800.0, "damping_nms_rad": 60.0}] * 6
+
+
+def test_an_error_of_position_gives_the_torque_of_the_spring_whatever_the_signs_are():
+    gains = gains_of(GAINS, DRIVES, ARM)
+    error = GAIN_SCALING.raw_position(0.25) - GAIN_SCALING.raw_position(0.15)
+    assert GAIN_SCALING.torque(gains.kp * error) == pytest.approx(80.0, rel=1e-4)
+
+
+def test_an_error_of_velocity_gives_the_torque_of_the_damper():
+    gains = gains_of(GAINS, DRIVES, ARM)
+    torque = GAIN_SCALING.torque(gains.kd * GAIN_SCALING.raw_velocity(0.5))
+    assert torque == pytest.approx(30.0, rel=1e-3)
+
+
+def test_an_error_of_position_gives_a_velocity_that_closes_it():
+    gains = gains_of(GAINS, DRIVES, ARM)
+    counts = gains.kv * (GAIN_SCALING.raw_position(0.1) - GAIN_SCALING.raw_position(0.0))
+    assert GAIN_SCALING.velocity(np.rint(counts)) == pytest.approx(0.1 * KV_PER_S, rel=1e-3)
+
+
+def test_no_more_torque_is_commanded_than_drive_and_arm_allow():
+    free = [Drive({}, axis) for axis in AXES]
+    assert gains_of(GAINS, DRIVES, ARM).limit[0] == pytest.approx(1500)
+    arms = gains_of(GAINS, free, ARM).limit
+    assert np.array(arms) * abs(AXIS.nm_per_count) == pytest.approx(ARM.effort_max)
+
+
+def test_by_default_the_loop_is_critically_damped_on_the_least_inertia():
+    gains = gains_of([{}] * 6, DRIVES, ARM)
+    inertia = 0.1 * ARM.effort_max[0] / ARM.qdd_max[0]
+    stiffness = gains.kp[0] * AXIS.nm_per_count / AXIS.rad_per_increment
+    damping = gains.kd[0] * AXIS.nm_per_count / AXIS.rad_s_per_count
+    assert stiffness / inertia == pytest.approx(LOOP_RAD_S**2)
+    assert damping / (2 * np.sqrt(stiffness * inertia)) == pytest.approx(1.0)

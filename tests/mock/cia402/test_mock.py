@@ -2,23 +2,42 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
+import json
 import math
+import random
+import socket
+import struct
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 import can
 import numpy as np
 import pytest
+from canopen.objectdictionary import import_od
 
 from hil.arms import load_arm
 from hil.arms.payload import Payload
-from hil.core.errors import SpecError
-from hil_mock_robot.cia402.mock import HostedMock, mock_on_virtual_bus
+from hil.core.errors import PluginError, RobotConnectionError, SpecError
+from hil_mock_robot.cia402.bus import HubEnd, PythonCanEnd, end_of, ignored, side_path
+from hil_mock_robot.cia402.mock import (
+    CanRequests,
+    HostedMock,
+    Mock,
+    main,
+    mock_on_virtual_bus,
+    nodes_of,
+    parser_of,
+)
+from hil_mock_robot.plant.truth import draw_truth
 from hil_mock_robot.server.journal import read_journal
+from hil_mock_robot.server.options import mounted_of, pose_of
+from hil_mock_robot.server.side_channel import SideChannel
 from tests.support.can_master import RPDO1, Master
+from tests.support.mock_servers import mock_can
 
 PATIENT = 10.0
 """Wall time without SYNC that changes nothing: results do not depend on how busy we are."""
@@ -180,3 +199,285 @@ def test_requests_that_cannot_be_are_answered_in_words() -> None:
         assert "no JSON" in answer["error"]
         with pytest.raises(SpecError, match="6 numbers"):
             drives.tell("push", torque=[1.0])
+
+
+# `hil mock can`: options, the data sheet, the truth, and what is said when something cannot be.
+
+
+def test_without_options_it_is_lab6_on_can0() -> None:
+    given = parser_of().parse_args([])
+    assert (given.model, given.channel, given.interface) == ("lab6", "can0", "hil_unix")
+    assert given.bitrate is None
+
+
+def test_nodes_are_numbered_from_one_unless_somebody_says() -> None:
+    assert nodes_of((), ARM, 127) == (1, 2, 3, 4, 5, 6)
+    assert nodes_of((11, 12, 13, 14, 15, 16), ARM, 127) == (11, 12, 13, 14, 15, 16)
+
+
+@pytest.mark.parametrize(
+    ("nodes", "master_id"),
+    [((1, 2, 3), 127), ((1, 1, 2, 3, 4, 5), 127), ((0, 1, 2, 3, 4, 5), 127), ((), 3), ((), 128)],
+)
+def test_nodes_that_cannot_share_a_bus_are_refused(nodes: Sequence[int], master_id: int) -> None:
+    with pytest.raises(SpecError) as refused:
+        nodes_of(nodes, ARM, master_id)
+    assert refused.value.hint
+
+
+@pytest.mark.parametrize("degrees", [(1, 2, 3), (999, 0, 0, 0, 0, 0), (math.nan,) * 6])
+def test_what_is_no_pose_of_the_arm_is_refused(degrees: Sequence[float]) -> None:
+    with pytest.raises(SpecError, match="no pose"):
+        pose_of(degrees, ARM)
+
+
+def test_a_pose_is_in_degrees() -> None:
+    assert np.degrees(pose_of((10, 20, -30, 40, 50, 60), ARM)) == pytest.approx(
+        [10, 20, -30, 40, 50, 60]
+    )
+
+
+def test_what_is_mounted_has_a_mass() -> None:
+    assert mounted_of(None) is None
+    mounted = mounted_of([2.0, 0.0, 0.0, 0.05])
+    assert mounted is not None
+    assert (mounted.mass, mounted.com) == (2.0, (0.0, 0.0, 0.05))
+    with pytest.raises(SpecError):
+        mounted_of([-1.0, 0.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        ("hil_unix", None, 10.0),
+        ("socketcan", 1e6, 10.0),
+        ("hil_unix", 1e6, 0.0),
+        ("hil_unix", 1e6, math.nan),
+        ("hil_unix", -1.0, None),
+        ("hil_unix", math.inf, None),
+    ],
+)
+def test_a_wire_that_cannot_be_is_refused(
+    given: tuple[str, float | None, float | None], tmp_path: Path
+) -> None:
+    interface, bitrate, speed = given
+    with pytest.raises(SpecError) as refused:
+        end_of(interface, str(tmp_path / "can.sock"), bitrate, speed)
+    assert refused.value.hint
+
+
+@pytest.mark.parametrize(("speed", "times"), [(None, 1), (10.0, 10)])
+def test_the_modelled_wire_goes_at_the_pace_of_the_master(
+    speed: float | None, times: int, tmp_path: Path
+) -> None:
+    end = end_of("hil_unix", str(tmp_path / "can.sock"), 1e6, speed)
+    end.send(0x181, bytes(8))
+    assert isinstance(end, HubEnd)
+    assert end.hub.wire is not None
+    assert end.hub.wire.busy_s == pytest.approx(135e-6 / times)
+    end.close()
+
+
+def test_the_side_channel_lies_beside_the_bus(tmp_path: Path) -> None:
+    assert side_path("hil_unix", str(tmp_path / "a.sock")) == str(tmp_path / "a.side")
+    assert side_path("virtual", "x").endswith("virtual-x.side")
+
+
+def test_an_interface_that_is_not_there_is_named() -> None:
+    with pytest.raises(PluginError, match="nonsense channel can0") as refused:
+        end_of("nonsense", "can0")
+    assert "hil_unix" in refused.value.hint
+
+
+def test_a_bus_is_let_go_when_an_option_cannot_be(tmp_path: Path) -> None:
+    channel = str(tmp_path / "can.sock")
+    assert main(["--channel", channel, "--nodes", "1", "2"]) == 2
+    end_of("hil_unix", channel).close()
+
+
+def test_the_data_sheet_can_be_had_as_a_file(tmp_path: Path) -> None:
+    path = tmp_path / "drive.eds"
+    assert main(["--eds", str(path)]) == 0
+    dictionary = import_od(str(path), 5)
+    assert dictionary["Statusword"].index == 0x6041
+    assert dictionary[0x1400][1].default == 0x4000_0205
+
+
+def test_a_data_sheet_that_cannot_be_written_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["--eds", str(tmp_path / "nowhere" / "drive.eds")]) == 7
+    assert "cannot write" in capsys.readouterr().err
+
+
+# What the mock drives survive: noise on the bus, death, a bus that is gone.
+
+
+class NoBus:
+    """Takes what is sent; frames are put in by the test."""
+
+    where = "no bus"
+
+    def __init__(self) -> None:
+        self.heard = ignored
+        self.sent: list[tuple[int, bytes]] = []
+
+    def send(self, can_id: int, data: bytes) -> None:
+        assert 0 <= can_id <= 0x7FF
+        assert len(data) <= 8
+        self.sent.append((can_id, data))
+
+    def flush(self) -> None:
+        """Nothing is kept."""
+
+    def serve(self, timeout_s: float, others: object = ()) -> bool:
+        return False
+
+    def bus_off(self) -> None:
+        """Nobody is there."""
+
+    def recover(self) -> None:
+        """Nobody is there."""
+
+    def close(self) -> None:
+        """Nothing to leave."""
+
+
+@pytest.fixture(scope="module")
+def bus() -> NoBus:
+    return NoBus()
+
+
+@pytest.fixture(scope="module")
+def drives(bus: NoBus) -> Iterator[Mock]:
+    mock = Mock(draw_truth("lab6", 1, "full"), bus)
+    mock.station.boot()
+    yield mock
+    mock.loop.close()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_noise_on_the_bus_harms_nobody(drives: Mock, bus: NoBus, seed: int) -> None:
+    draw = random.Random(seed)
+    bus.sent.clear()
+    station = drives.station
+    for step in range(6000):
+        if step % 500 == 0:
+            station.heard(0x000, bytes([1, 0]), 0.0)
+        node = draw.randint(0, 7)
+        kinds = (0x000, 0x080, 0x180, 0x200, 0x300, 0x580, 0x600, 0x700, draw.randint(0, 0x780))
+        can_id = min(0x7FF, draw.choice(kinds) + node)
+        data = draw.randbytes(draw.choice((0, 1, 2, 4, 6, 7, 8, 8, 8)))
+        if can_id & ~0x7F == 0x600 and draw.random() < 0.7:  # whole requests go deeper
+            index = draw.choice((0x1400, 0x1600, 0x1800, 0x1A00, 0x6040, 0x6060, 0x607A, 0x60C2))
+            data = struct.pack(
+                "<BHB", draw.choice((0x23, 0x2B, 0x2F, 0x40, 0x21, 0x80)), index, draw.randint(0, 5)
+            ) + draw.randbytes(4)
+        station.heard(can_id, data, 0.0)
+    sent = [can_id & ~0x7F for can_id, _ in bus.sent]
+    assert sent.count(0x580) > 100
+    assert sent.count(0x180) > 5
+    assert all(abs(seen.true_q) < 10 for seen in station.body.seen)
+
+
+def test_sync_alone_drives_time_when_periods_are_nonsense(drives: Mock) -> None:
+    unit = drives.station.axes[0]
+    before = drives.station.clock.steps
+    for value, index in ((0, 0), (255, 127), (255, -128), (1, -3)):
+        unit.registers[0x60C2 << 8 | 1], unit.registers[0x60C2 << 8 | 2] = value, index
+        drives.station._written(0, 0x60C2 << 8 | 1)
+        drives.station.heard(0x080, b"", 0.0)
+    assert 1 <= drives.station.clock.steps - before <= 3000
+
+
+def test_a_bus_of_python_can_that_is_gone_is_said() -> None:
+    class Gone(can.BusABC):
+        def __init__(self) -> None:
+            super().__init__(channel="x")
+
+        def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+            raise can.CanOperationError("Network is down")
+
+        def send(self, msg: can.Message, timeout: float | None = None) -> None:
+            raise can.CanOperationError("Network is down")
+
+    end = PythonCanEnd(Gone(), "socketcan channel can0")
+    end.send(0x181, b"")
+    assert end.lost == 1
+    with pytest.raises(RobotConnectionError, match="socketcan channel can0 is gone: Network"):
+        end.serve(0.0)
+    end.close()
+
+
+def test_a_side_channel_in_use_is_not_taken_over(drives: Mock, tmp_path: Path) -> None:
+    requests = CanRequests(drives.station, drives.faults)
+    first = SideChannel(tmp_path / "a.side", requests)
+    with pytest.raises(PluginError, match="cannot listen"):
+        SideChannel(tmp_path / "a.side", requests)
+    first.close()
+    SideChannel(tmp_path / "a.side", requests).close()
+
+
+@pytest.mark.thorough
+def test_a_client_of_the_side_channel_that_does_not_read_holds_up_nobody(
+    drives: Mock, tmp_path: Path
+) -> None:
+    side = SideChannel(tmp_path / "b.side", CanRequests(drives.station, drives.faults))
+    with socket.socket(socket.AF_UNIX) as mute, socket.socket(socket.AF_UNIX) as other:
+        mute.connect(str(side.path))
+        other.connect(str(side.path))
+        mute.setblocking(False)
+        slowest = 0.0
+        for _ in range(40):
+            with contextlib.suppress(BlockingIOError):
+                mute.sendall(b'{"do": "state"}\n' * 60)
+            began = time.monotonic()
+            side.serve()
+            slowest = max(slowest, time.monotonic() - began)
+        other.sendall(b'{"do": "clear"}\n')
+        side.serve()
+        assert other.recv(100) == b"{}\n"
+        assert slowest < 0.5
+        time.sleep(1.1)
+        side.serve()
+        assert len(side.sockets) == 2  # who does not read is hung up on
+    side.close()
+
+
+def test_a_client_of_the_side_channel_gets_all_of_a_long_answer(
+    drives: Mock, tmp_path: Path
+) -> None:
+    side = SideChannel(tmp_path / "c.side", CanRequests(drives.station, drives.faults))
+    with socket.socket(socket.AF_UNIX) as line:
+        line.connect(str(side.path))
+        line.setblocking(False)
+        line.sendall(b'{"do": "state"}\n' * 800)
+        answers, until = b"", time.monotonic() + 20.0
+        while answers.count(b"\n") < 800 and time.monotonic() < until:
+            side.serve()
+            with contextlib.suppress(BlockingIOError):
+                answers += line.recv(4096)
+        assert answers.count(b"\n") == 800
+    assert all(json.loads(each)["synced"] is not None for each in answers.splitlines())
+    side.close()
+
+
+@pytest.mark.wire
+def test_requests_out_of_place_are_no_news_for_a_terminal(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with (
+        mock_can(channel=tmp_path / "can.sock", by_command=True) as mock,
+        mock.bus() as bus,
+    ):
+        for request in (
+            b"\xc6\x7a\x60\x00\x04\x00\x00\x00",
+            b"\x01" + bytes(7),
+            b"\xe0" + bytes(7),
+        ):
+            bus.send(can.Message(arbitration_id=0x601, data=request, is_extended_id=False))
+        master = Master(bus)
+        while master.hear(0.3) is not None:
+            pass
+        assert master.upload(1, 0x1000) == 0x0002_0192
+    assert capfd.readouterr().err == ""

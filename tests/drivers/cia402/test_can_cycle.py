@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import struct
+import threading
 import time
 from collections import deque
 from collections.abc import Iterable
 
+import can
 import numpy as np
 import pytest
 
@@ -18,9 +21,20 @@ from hil.can.frames import (
     pack_frame,
     unpack_frame,
 )
+from hil.core.errors import RobotConnectionError
 from hil_drivers.cia402.bus import Inputs, News, Outputs
-from hil_drivers.cia402.can_cycle import CanCyclic
+from hil_drivers.cia402.can_bus import CanBus
+from hil_drivers.cia402.can_channel import PythonCanPort
+from hil_drivers.cia402.can_cycle import (
+    CONFIRMED,
+    CanCyclic,
+    quick_stop_frames,
+    require_no_master,
+    stop_directly,
+)
 from hil_drivers.cia402.mapping import ALL_MODES, MINIMAL, POSITION
+from hil_drivers.cia402.options import Options, options_of
+from hil_drivers.cia402.supervisor import Judge
 
 NODES = (3, 7)
 PERIOD_S = 0.004
@@ -399,3 +413,326 @@ def test_log_gets_every_frame_in_order_with_its_time() -> None:
     times = np.array([time_s for time_s, _ in log])
     assert (np.diff(times) >= 0).all()
     assert abs(times[0] - time.time()) < 5
+
+
+# Answers that come cycles later than their SYNC: none of them is taken for a fresh one.
+
+
+LATE_NODES = (1, 2)
+USUAL_S = 2e-4
+
+
+class Clock:
+    """Of the wall; time goes on when somebody waits."""
+
+    def __init__(self) -> None:
+        self.now_s = 100.0
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+    time = monotonic
+
+    def sleep(self, lasts_s: float) -> None:
+        self.now_s += max(lasts_s, 0.0)
+
+
+class Drives:
+    """A port whose drives answer the k-th SYNC with position k, whenever the test says.
+
+    Attributes:
+        after_s: Per axis, from a SYNC to its answer [s]; None: it is lost.
+    """
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self.after_s: list[float | None] = [USUAL_S] * len(LATE_NODES)
+        self._coming: deque[tuple[float, bytes]] = deque()
+        self._syncs, self._last = -1, dict.fromkeys(LATE_NODES, 0.0)
+
+    def send(self, frame: bytes | memoryview) -> bool:
+        if unpack_frame(bytes(frame)).id == 0x080:
+            self._syncs += 1
+            for node, after_s in zip(LATE_NODES, self.after_s, strict=True):
+                if after_s is not None:
+                    self._answer(node, self._clock.now_s + after_s)
+        return True
+
+    def _answer(self, node: int, at: float) -> None:
+        raw = pack_frame(0x180 + node, struct.pack("<Hi", 0x1237, self._syncs))
+        at = self._last[node] = max(at, self._last[node])  # a drive answers in order
+        self._coming = deque(sorted([*self._coming, (at, raw)], key=lambda each: each[0]))
+
+    def receive(self, until_s: float) -> bytes | None:
+        return self._coming.popleft()[1] if self.wait(until_s) else None
+
+    def wait(self, until_s: float) -> bool:
+        next_s = self._coming[0][0] if self._coming else float("inf")
+        self._clock.sleep(min(next_s, until_s) - self._clock.now_s)
+        return next_s <= self._clock.now_s
+
+
+class Exchange:
+    """Cycles at their time, each checked: what is said to be fresh is of this very SYNC."""
+
+    def __init__(self, clock: Clock) -> None:
+        self.drives = Drives(clock)
+        self.cyclic = CanCyclic(self.drives, MINIMAL, LATE_NODES, PERIOD_S)
+        self._begin, self.inputs = clock.now_s, Inputs.none_yet(2)
+        self.cycles(5)
+
+    def cycles(self, number: int) -> list[list[bool]]:
+        """Per cycle, per axis, whether it was fresh."""
+        fresh: list[list[bool]] = []
+        for _ in range(number):
+            inputs = self.inputs = self.cyclic.exchange(
+                Outputs.idle(2), self._begin + 0.9 * PERIOD_S
+            )
+            for axis, came in enumerate(inputs.fresh):
+                assert not came or inputs.position[axis] == self.cyclic.cycle, (axis, fresh)
+            fresh.append(list(inputs.fresh))
+            self._begin += PERIOD_S
+            self.cyclic.idle(self._begin)
+        return fresh
+
+    def stall(self, cycles: int, also_s: float = 0.0) -> None:
+        """All answers to so many SYNCs come at once, right after the last of them."""
+        for k in range(cycles):
+            left_s = (cycles - k) * PERIOD_S + also_s + k * 1e-6
+            self.drives.after_s = [left_s] * len(LATE_NODES)
+            assert self.cycles(1) == [[False, False]]
+        self.drives.after_s = [USUAL_S] * len(LATE_NODES)
+
+
+@pytest.fixture
+def exchange(monkeypatch: pytest.MonkeyPatch) -> Exchange:
+    clock = Clock()
+    monkeypatch.setattr("hil_drivers.cia402.can_cycle.time", clock)
+    return Exchange(clock)
+
+
+def test_burst_of_sixteen_late_answers_is_sorted_out_at_once(exchange: Exchange) -> None:
+    exchange.stall(16, also_s=1e-4)
+    assert exchange.cycles(5) == [[True, True]] * 5
+    counts = exchange.cyclic.counts
+    assert (counts.missing, counts.late, counts.doubled) == (32, 32, 0)
+
+
+def test_burst_that_comes_in_two_parts_leaves_no_wrong_row_between_them(exchange: Exchange) -> None:
+    for k in range(16):
+        parts_s = (16 - k) * PERIOD_S + (0.0 if k < 9 else 1.5 * PERIOD_S)
+        exchange.drives.after_s = [parts_s + k * 1e-6] * 2
+        exchange.cycles(1)
+    exchange.drives.after_s = [3 * PERIOD_S, 3 * PERIOD_S]
+    fresh = exchange.cycles(1)
+    exchange.drives.after_s = [USUAL_S + 2 * PERIOD_S] * 2
+    fresh += exchange.cycles(1)
+    exchange.drives.after_s = [USUAL_S] * 2
+    fresh += exchange.cycles(8)
+    assert fresh[:2] == [[False, False]] * 2
+    assert fresh[-3:] == [[True, True]] * 3
+
+
+def test_answers_that_trickle_in_one_a_cycle_are_never_fresh_while_more_are_owed(
+    exchange: Exchange,
+) -> None:
+    exchange.drives.after_s = [4 * PERIOD_S + USUAL_S] * 2  # soon after a later SYNC
+    assert exchange.cycles(4 + CONFIRMED - 1) == [[False, False]] * (4 + CONFIRMED - 1)
+
+
+def test_answers_late_by_over_a_period_for_many_cycles_are_never_fresh(exchange: Exchange) -> None:
+    exchange.drives.after_s = [1.7 * PERIOD_S] * 2
+    assert exchange.cycles(60) == [[False, False]] * 60
+    exchange.drives.after_s = [USUAL_S] * 2
+    assert exchange.cycles(6)[-4:] == [[True, True]] * 4
+
+
+def test_one_axis_that_is_late_by_over_a_period_is_never_fresh(exchange: Exchange) -> None:
+    exchange.drives.after_s = [USUAL_S, 1.7 * PERIOD_S]
+    assert exchange.cycles(60) == [[True, False]] * 60
+
+
+def test_a_single_lost_frame_costs_one_row_of_one_axis(exchange: Exchange) -> None:
+    exchange.drives.after_s = [USUAL_S, None]
+    fresh = exchange.cycles(1)
+    exchange.drives.after_s = [USUAL_S, USUAL_S]
+    fresh += exchange.cycles(10)
+    assert fresh == [[True, False]] + [[True, True]] * 10
+    assert (exchange.cyclic.counts.missing, exchange.cyclic.counts.late) == (1, 0)
+
+
+def test_several_lost_frames_are_over_when_single_answers_have_shown_it(exchange: Exchange) -> None:
+    exchange.drives.after_s = [USUAL_S, None]
+    exchange.cycles(3)
+    exchange.drives.after_s = [USUAL_S, USUAL_S]
+    came = [axis_2 for _, axis_2 in exchange.cycles(CONFIRMED + 4)]
+    assert came == [False] * (CONFIRMED - 1) + [True] * 5
+
+
+def test_an_axis_whose_answers_come_late_is_told_from_one_that_is_silent(
+    exchange: Exchange,
+) -> None:
+    exchange.drives.after_s = [1.7 * PERIOD_S, None]
+    exchange.cycles(3)
+    inputs = exchange.inputs
+    assert (inputs.fresh, inputs.late) == ([False, False], [True, False])
+
+
+def cycles_until_given_up(*, late: bool) -> int:
+    judge, inputs = Judge(1, False, 3), Inputs.none_yet(1)
+    inputs.late = [late]
+    for number in range(100):
+        judge.count(inputs)
+        if not judge.answers(0):
+            return number
+    raise AssertionError("never")
+
+
+def test_an_axis_that_is_behind_has_three_times_as_many_cycles_as_a_silent_one() -> None:
+    assert cycles_until_given_up(late=False) == 3
+    assert cycles_until_given_up(late=True) == 9
+
+
+# Another master on the bus, two nodes with one id: found before and while the arm is driven.
+
+
+MASTER = 127
+ENABLE = b"\x0f\x00\x08\x00\x00\x00\x00"
+_numbers = itertools.count(1)
+
+
+class Heard:
+    """A port on which these frames have come; nothing may be sent."""
+
+    def __init__(self, *frames: bytes) -> None:
+        self._frames = list(frames)
+
+    def send(self, frame: bytes | memoryview) -> bool:
+        raise AssertionError("somebody sent")
+
+    def receive(self, until_s: float) -> bytes | None:
+        if self._frames:
+            return self._frames.pop(0)
+        time.sleep(max(until_s - time.monotonic(), 0.0))
+        return None
+
+    def wait(self, until_s: float) -> bool:
+        return bool(self._frames)
+
+
+@pytest.mark.parametrize(
+    ("frame", "called"),
+    [
+        (pack_frame(0x080, b""), r"SYNC \(080h\)"),
+        (pack_frame(0x77F, b"\x05"), r"heartbeat of node 127, our own \(77Fh\)"),
+        (pack_frame(0x203, bytes(7)), r"RPDO1 of node 3 \(203h\)"),
+        (pack_frame(0x307, bytes(8)), r"RPDO2 of node 7 \(307h\)"),
+        (pack_frame(0x403, bytes(8)), r"RPDO3 of node 3"),
+        (pack_frame(0x507, bytes(8)), r"RPDO4 of node 7"),
+    ],
+)
+def test_what_another_master_sends_is_named_and_refused(frame: bytes, called: str) -> None:
+    with pytest.raises(RobotConnectionError, match=f"another master is on the bus: 2 × .*{called}"):
+        require_no_master(Heard(frame, frame), NODES, MASTER, 0.01)
+
+
+def test_drives_that_are_alone_and_other_nodes_are_no_master() -> None:
+    frames = [pack_frame(0x703, b"\x7f"), pack_frame(0x183, bytes(7)), pack_frame(0x083, bytes(8))]
+    foreign = [pack_frame(0x204, bytes(7)), pack_frame(0x77E, b"\x05"), pack_frame(0x583, bytes(8))]
+    require_no_master(Heard(*frames, *foreign), NODES, MASTER, 0.01)
+
+
+def station(channel: str) -> Options:
+    return options_of({"bus": {"interface": "virtual", "channel": channel}}, "lab6")
+
+
+def test_joining_a_bus_with_another_master_sends_nothing_and_says_so() -> None:
+    channel, over = f"cia402-masters-{next(_numbers)}", threading.Event()
+    sync = can.Message(arbitration_id=0x080, is_extended_id=False)
+    with can.Bus(interface="virtual", channel=channel) as other:
+
+        def another() -> None:
+            while not over.wait(0.004):
+                other.send(sync)
+
+        thread = threading.Thread(target=another)
+        thread.start()
+        try:
+            with pytest.raises(RobotConnectionError, match=r"another master.*SYNC \(080h\)"):
+                CanBus(station(channel), [f"axis {n}" for n in range(6)])
+        finally:
+            over.set()
+            thread.join()
+        assert other.recv(0.0) is None
+
+
+def test_own_frames_are_not_heard() -> None:
+    channel = f"cia402-masters-{next(_numbers)}"
+    with can.Bus(interface="virtual", channel=channel) as bus:
+        port = PythonCanPort(bus)
+        port.send(pack_frame(0x080, b""))
+        require_no_master(port, NODES, MASTER, 0.01)
+
+
+def driven(**options: object) -> Cycles:
+    cycles = Cycles(**options)
+    cycles.cycle(all_answers(0))
+    cycles.cyclic.watch(True)
+    return cycles
+
+
+@pytest.mark.parametrize("can_id", [0x080, 0x203, 0x307])
+def test_command_that_we_did_not_send_is_told_while_the_arm_is_driven(can_id: int) -> None:
+    cycles = driven()
+    cycles.idle(pack_frame(can_id, b"\x0f\x00"))
+    assert "another master is on the bus" in cycles.news().bus_error
+
+
+def test_quick_stop_from_outside_is_no_other_master() -> None:
+    cycles = driven()
+    for frame in quick_stop_frames(station("any")):
+        cycles.idle(bytes(frame))
+    assert not cycles.news().any
+    cycles.idle(pack_frame(0x203, ENABLE))
+    assert "another master" in cycles.news().bus_error
+
+
+def doubled(cycles: Cycles, count: int) -> str:
+    for k in range(count):
+        cycles.cycle([*all_answers(k), tpdo1(3, k + 9)])
+        cycles.idle()
+    return cycles.news().bus_error
+
+
+def test_answers_that_are_doubled_for_many_cycles_are_two_nodes_with_one_id() -> None:
+    cycles = driven(late_cycles=10)
+    assert doubled(cycles, 10) == ""
+    assert doubled(cycles, 1) == "two nodes answer as node 3"
+
+
+def test_answers_that_are_doubled_now_and_then_are_only_counted() -> None:
+    cycles = driven(late_cycles=3)
+    for k in range(20):
+        assert doubled(cycles, 3) == ""
+        cycles.cycle(all_answers(k))
+    assert cycles.cyclic.counts.doubled == 60
+
+
+def test_full_queue_is_an_error_after_late_cycles() -> None:
+    cycles = driven(late_cycles=5)
+    for k in range(6):
+        assert cycles.news().bus_error == ""
+        cycles.port.room = 1
+        cycles.cycle(all_answers(k))
+    assert "no room for our frames in more than 5 cycles" in cycles.news().bus_error
+
+
+def test_quick_stop_from_outside_is_sent_three_times_with_a_pause() -> None:
+    told = station(f"cia402-masters-{next(_numbers)}")
+    with can.Bus(interface="virtual", channel=told.bus.channel) as drives:
+        assert stop_directly(told)
+        heard = [drives.recv(0.0) for _ in range(3 * 7)]
+        assert drives.recv(0.0) is None
+    syncs = [each for each in heard if each is not None and each.arbitration_id == 0x080]
+    assert [heard.index(sync) for sync in syncs] == [6, 13, 20]
+    assert all(b.timestamp - a.timestamp >= 0.002 for a, b in itertools.pairwise(syncs))
