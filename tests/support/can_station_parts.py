@@ -21,7 +21,7 @@ PERIOD_S = 0.004
 
 
 class NoBus:
-    """Takes what is sent."""
+    """Takes what is sent; frames are put in by the test."""
 
     where = "no bus"
 
@@ -30,6 +30,8 @@ class NoBus:
         self.sent: list[tuple[int, bytes]] = []
 
     def send(self, can_id: int, data: bytes) -> None:
+        assert 0 <= can_id <= 0x7FF
+        assert len(data) <= 8
         self.sent.append((can_id, bytes(data)))
 
     def flush(self) -> None:

@@ -57,10 +57,25 @@ def robot_on(running, model="ur5", **options):
             robot.close()
 
 
+@pytest.fixture(scope="module")
+def driven():
+    """A controller that `robot` has all the time."""
+    with mock_ur() as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def connected(driven):
+    with robot_on(driven) as made:
+        yield made
+
+
 @pytest.fixture
-def robot(mock):
-    with robot_on(mock) as connected:
-        yield connected
+def robot(connected):
+    """Connected and at rest, with nothing left to read; for tests that leave it so."""
+    settle(connected)
+    connected.drain()
+    return connected
 
 
 def trajectory(robot, way=0.3, seconds=2.0, index=40):
@@ -117,11 +132,11 @@ def test_every_state_of_the_controller_arrives_once(robot):
     assert further["device_time"] == pytest.approx(times)
 
 
-def test_it_says_which_arm_it_is(robot, mock):
+def test_it_says_which_arm_it_is(robot, driven):
     who = robot.identity
     assert (who.model, who.serial.isdigit(), who.firmware) == ("ur5", True, "3.15.8.106339")
     assert who.details["torque_source"] == "current"
-    assert robot.resource == f"ur://{mock.address}"
+    assert robot.resource == f"ur://{driven.address}"
 
 
 def test_a_trajectory_is_followed_to_its_end(robot):
@@ -208,9 +223,9 @@ def test_nobody_there_is_told_with_what_to_look_at():
     assert caught.value.hint
 
 
-def test_a_second_driver_is_told_that_somebody_drives_the_arm(mock, robot):
+def test_a_second_driver_is_told_that_somebody_drives_the_arm(driven, robot):
     with pytest.raises(RobotFault, match="a program is running"):
-        UrRobot("arm", "ur5", address=mock.address, **SLOW).connect()
+        UrRobot("arm", "ur5", address=driven.address, **SLOW).connect()
     follow(robot, move(robot, 0.05))
 
 
