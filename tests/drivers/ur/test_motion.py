@@ -148,16 +148,20 @@ def test_a_move_is_an_asynchronous_move_of_the_controller_with_the_watchdog_kick
     assert process.look()[0]["device_time"] - begun == pytest.approx(0.4, abs=0.3)
 
 
+@measured_again
 def test_a_trajectory_is_led_along_set_point_by_set_point_and_let_go_at_its_end(fake):
     process = fake()
     process.connect()
+    leading = InTime(process.pid, ours=False)
     begin(process, led(rows=80))
     wait_until_over(process)
+    took = leading.taken()
     said = fake.commands()
     places = [float(line.split()[1]) for line in said if line.startswith("servoJ")]
     assert len(places) >= 60
     assert places == sorted(places)
-    assert max(np.diff([0.0, *places])) < 0.2 / 80 * np.pi
+    fastest = 0.2 / 80 * np.pi / 2  # per set-point; one that comes late is farther away
+    took.require(2 * 0.008, 0.008 * max(np.diff([0.0, *places])) / fastest)
     assert said[-1] in ("servoStop", "kick")
     assert "servoStop" in said
     assert all(line.endswith(" 0.0080") for line in said if line.startswith("servoJ"))
