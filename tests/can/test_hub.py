@@ -1,4 +1,4 @@
-"""The hub of a bus between processes, served step by step by the test itself."""
+"""The hub of a bus between processes, served step by step, also by random participants."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`hil_unix` as users of python-can and canopen meet it."""
+"""`hil_unix` as users of python-can and canopen meet it, and where its channels live."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The model of the wire, with a clock of the test's own."""
+"""The model of the wire: bits of a frame, and its times by a clock of the test's own."""
 
 from __future__ import annotations
 

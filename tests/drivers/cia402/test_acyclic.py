@@ -1,4 +1,4 @@
-"""SDO, NMT and the PDO mapping procedure against mock drives, frames fed by another thread."""
+"""SDO, NMT and the PDO mapping procedure against mock drives, one by one and many at once."""
 
 from __future__ import annotations
 

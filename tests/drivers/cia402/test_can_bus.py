@@ -1,4 +1,4 @@
-"""Ways to a bus: raw frames by a socket, and by any other python-can bus."""
+"""The CAN bus of the driver: ports, frames with one call of the kernel, load."""
 
 from __future__ import annotations
 

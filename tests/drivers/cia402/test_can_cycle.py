@@ -1,4 +1,4 @@
-"""One cycle over CAN, on a port that plays a script: what is sent, and what is counted as what."""
+"""Cycles over CAN, on ports that play a script: answers, late answers, other masters."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Raw integers of a drive ↔ SI, against numbers worked out by hand."""
+"""Raw integers of a drive ↔ SI, against numbers worked out by hand, and error codes in words."""
 
 from __future__ import annotations
 

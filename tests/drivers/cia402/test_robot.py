@@ -1,4 +1,4 @@
-"""The robot layer of the CiA 402 driver, without a bus."""
+"""The robot layer of the driver without a bus: rows, trouble, stops, findings, modes, gains."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The TwinCAT driver against the mock's program in this process: what a PLC may do to it."""
+"""The TwinCAT driver against the mock's program in this process, and the PC's heartbeat."""
 
 from __future__ import annotations
 

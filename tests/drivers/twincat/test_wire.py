@@ -1,4 +1,4 @@
-"""The TwinCAT driver and the mock PLC over real ADS frames, each in a process of its own."""
+"""The TwinCAT driver and the mock PLC over real ADS frames, and whole experiments."""
 
 from __future__ import annotations
 

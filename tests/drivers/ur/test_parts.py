@@ -1,4 +1,4 @@
-"""The UR driver's arithmetic: options, pacing, lag, which row belongs to which segment, checks."""
+"""The UR driver's arithmetic: options, pacing, lag, braking, which row belongs to which segment."""
 
 from __future__ import annotations
 

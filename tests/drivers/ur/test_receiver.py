@@ -1,4 +1,4 @@
-"""The lossless RTDE reader against a scripted controller: everything it may say, or not say."""
+"""The lossless RTDE reader against a scripted controller, and its rows as robot records."""
 
 from __future__ import annotations
 

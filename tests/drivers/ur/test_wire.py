@@ -1,4 +1,4 @@
-"""The UR driver against the mock controller: real sockets, the unmodified `ur-rtde`."""
+"""The UR driver by unmodified `ur-rtde` on the mock controller: connecting, moving, stopping."""
 
 from __future__ import annotations
 

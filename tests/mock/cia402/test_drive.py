@@ -1,4 +1,4 @@
-"""How the mock drives come to rest: option codes, their ramps, the holding brake."""
+"""How mock drives come to rest, what they take for a fault, and what brings them back."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""The mock drives together: station, loop, faults and journal, in a thread on a virtual bus."""
+"""The mock drives together: options, station, loop, journal, noise, a bus that is gone."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The mock drives as a process: real frames between two processes, in wall time."""
+"""Mock drives on a bus: between two processes in wall time, and with tools of CANopen."""
 
 from __future__ import annotations
 

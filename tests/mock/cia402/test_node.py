@@ -1,4 +1,4 @@
-"""NMT of the mock drive: the state table, boot-up, both resets."""
+"""The mock drive as a node of CANopen: NMT, heartbeats, errors, and tools that talk to it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Process data of the mock drive: when RPDOs are applied, when TPDOs are sent, what is wrong."""
+"""Process data of the mock drive: mapping, when RPDOs are applied, when TPDOs are sent."""
 
 from __future__ import annotations
 

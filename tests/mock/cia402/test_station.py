@@ -1,4 +1,4 @@
-"""What sets the pace: periods as clients have told them, and set-points that stay away."""
+"""The station of the mock drives: SYNC and clock, a network that is taken away, edges, siblings."""
 
 from __future__ import annotations
 

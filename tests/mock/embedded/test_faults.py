@@ -1,4 +1,4 @@
-"""Injected faults, on the virtual clock: what the host sees of each, and when."""
+"""Options and injected faults of the embedded mock: what the host sees of each, and when."""
 
 import re
 import threading

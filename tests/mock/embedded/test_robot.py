@@ -1,4 +1,4 @@
-"""The embedded mock as a robot of the protocol."""
+"""The embedded mock as a robot of the protocol, also on another day, in another room, or worn."""
 
 from __future__ import annotations
 

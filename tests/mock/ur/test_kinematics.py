@@ -1,4 +1,4 @@
-"""Kinematics of the mock UR controller against MuJoCo, SciPy and the maker's lengths."""
+"""Kinematics of the mock UR controller and its force sensor, against independent references."""
 
 from dataclasses import replace
 from functools import cache

@@ -1,4 +1,4 @@
-"""Power and safety of the mock UR controller: what leads where, and how long it takes."""
+"""Power and safety of the mock UR controller: modes, and the teach pendant that releases stops."""
 
 from __future__ import annotations
 

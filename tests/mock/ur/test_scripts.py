@@ -1,4 +1,4 @@
-"""Uploaded programs: what they may say, what they do, and that no text whatever does harm."""
+"""Uploaded programs: what they say and do, their functions, and that no text does harm."""
 
 import contextlib
 
