@@ -145,9 +145,11 @@ def server(name: str) -> Server:
 
 @pytest.fixture(scope="module")
 def running(server: Server, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """Started by its command line, as an operator does."""
+    """Started by its command line and ended by Ctrl-C, as an operator does."""
     with server.run(tmp_path_factory.mktemp("mock"), by_command=True) as mock:
         yield mock
+        assert mock.end(signal.SIGINT) == 0
+    assert mock.journal()[-1]["event"] == "closed"
 
 
 # The command line
@@ -368,7 +370,7 @@ def test_one_place_is_for_one_mock_and_others_are_beside_it(
 def test_a_signal_ends_it_with_the_last_line_of_its_journal(
     server: Server, how: signal.Signals, tmp_path: Path
 ) -> None:
-    with server.run(tmp_path, by_command=how == signal.SIGINT) as mock:
+    with server.run(tmp_path) as mock:
         side = server.side_of(mock)
         assert mock.end(how) == 0
     assert mock.journal()[-1]["event"] == "closed"
