@@ -152,6 +152,17 @@ def test_csv_integrates_the_velocity():
     assert one.q == pytest.approx(0.3 + 0.6 * 0.398, abs=1e-5)
 
 
+def test_csv_goes_to_a_velocity_within_its_period_however_the_steps_come():
+    one = OneDrive().enabled(CSV)
+    one.set(keys.TARGET_VELOCITY, round(0.5 * one.counts))
+    speeds = one.cycles(1, steps=8).setpoints[:, 1]
+    assert speeds == pytest.approx([0.125, 0.25, 0.375, *[0.5] * 5], abs=1e-6)
+    one.set(keys.TARGET_VELOCITY, round(0.1 * one.counts))
+    assert one.cycles(1, steps=2).setpoints[:, 1] == pytest.approx([0.4, 0.3], abs=1e-6)
+    unsynced = one.cycles(1, synced=False, steps=2).setpoints[:, 1]
+    assert unsynced == pytest.approx([0.2, 0.1], abs=1e-6)
+
+
 def test_csv_does_not_leave_the_position_limits_and_comes_back():
     one = OneDrive().enabled(CSV)
     one.set(keys.POSITION_LIMIT_MAX, round(0.4 * one.counts))

@@ -427,6 +427,10 @@ def test_the_dashboard_example_of_urs_client_library(e_series):
         pass_time(e_series.machine, 2.0 if line in ("power on", "brake release") else 0.1)
 
 
+def test_a_support_file_needs_a_folder(cb3):
+    assert cb3.ask("generate support file") == "Failed to execute: generate support file"
+
+
 def test_a_role_is_kept(cb3):
     cb3.ask("setUserRole locked")
     assert cb3.ask("getUserRole") == "LOCKED"
