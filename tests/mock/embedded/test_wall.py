@@ -129,17 +129,22 @@ def test_stop_acts_within_a_block_or_two(make):
     assert after["status"][-1] == Status.HOLDING
 
 
+@measured_again
 def test_a_command_meets_the_arm_where_it_is_by_the_wall(make):
     mock = make(speed=5.0)
+    watched = InTime(os.getpid(), ours=False)
     begin(mock)
     busy_until = time.monotonic() + 0.15
     while time.monotonic() < busy_until:  # holds the interpreter, which slows every thread down
         pass
     mock.stop()
-    start, stop = events(mock, "start", "stop")
-    slipped = sum(line["behind_s"] for line in events(mock, "slip"))
+    took = watched.taken()
+    start, stop = events(mock, "start", "stop")[-2:]
+    slips = [line for line in events(mock, "slip") if line["monotonic_s"] >= start["monotonic_s"]]
+    slipped = sum(line["behind_s"] for line in slips)
     passed = (stop["monotonic_s"] - start["monotonic_s"] - slipped) * 5.0
-    assert stop["device_time"] - start["device_time"] == pytest.approx(passed, abs=3 * DT)
+    off = stop["device_time"] - start["device_time"] - passed
+    took.require(3 * DT / 5.0, abs(off) / 5.0)
 
 
 def test_the_arm_moves_on_when_nobody_reads_and_the_oldest_rows_are_lost(make):
