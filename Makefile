@@ -16,7 +16,7 @@ export MKL_NUM_THREADS ?= 1
 unexport PYTHONDONTWRITEBYTECODE
 
 OFTEN := journey or not (thorough or wire or matrix or proof)
-CAN_TESTS := tests/can tests/mock/cia402 tests/drivers/cia402 tests/drivers/twincat
+CAN_TESTS := tests/can tests/mock/cia402 tests/drivers/cia402 tests/drivers/twincat tests/robot/test_conformance.py
 
 .PHONY: help demo test test-all lint types walls shape proof proof-state fault-matrix gallery fuzz soak bench wheels docs example clean
 
@@ -56,7 +56,7 @@ test-all: test ## and all others: every wire test, each fault at one kind of ste
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "thorough and not (wire or matrix or proof or journey)" \
 	  $(call marked,thorough,tests)
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "wire and not (proof or journey)" \
-	  $$(printf '%s\n' $(call marked,wire,tests) | grep -vE '^(tests/can|tests/mock/cia402|tests/drivers/(cia402|twincat))/')
+	  $$(printf '%s\n' $(call marked,wire,tests) | grep -vE '^tests/(can|mock/cia402|drivers/cia402|drivers/twincat|robot/test_conformance)')
 	$(BIN)/python -m pytest -m "wire and not (proof or journey)" $(call marked,wire,$(CAN_TESTS))
 	$(BIN)/python -m pytest -n 2 -m "matrix and not (proof or journey)" tests/faults/test_embedded.py tests/faults/test_ur.py
 	$(BIN)/python -m pytest -n 2 -m "matrix and not (proof or journey)" tests/faults/test_can.py
