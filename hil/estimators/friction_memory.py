@@ -137,7 +137,7 @@ class Pieces:
         number = np.cumsum(begins) - 1
         travelled = np.cumsum(np.abs(steps))
         way = travelled - (travelled[first] - np.abs(steps[first]))[number]
-        last = np.append(first[1:], len(steps)) - 1
+        last = np.append(first[1:], len(steps))[: len(first)] - 1
         return cls(direction[first], way[last], starts[first], number, way)
 
     def every(self, k: int) -> Pieces:

@@ -432,7 +432,8 @@ def total_least_squares(
     noisy = R[fixed:, fixed:]
     _, both, directions = np.linalg.svd(noisy)
     vector = directions[-1]
-    smallest = float(np.linalg.svd(noisy[:, :-1], compute_uv=False)[-1])
+    least = np.linalg.svd(noisy[:, :-1], compute_uv=False)[-1:]
+    smallest = float(least[0]) if len(least) else np.inf
     gap = smallest / float(both[-1]) if both[-1] > 0 else np.inf
     if gap < LEAST_GAP or abs(vector[-1]) < 1e-9:
         raise FitError(

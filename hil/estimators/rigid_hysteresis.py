@@ -99,10 +99,12 @@ def _group_names(name: str, value: str | Sequence[str]) -> str | tuple[str, ...]
     """
     if value == "auto":
         return "auto"
+    if not isinstance(value, Sequence):
+        raise SpecError(f"{name} is {value!r:.60}, but must be auto or a list of groups")
     known = groups(ripple=True, temperature=True)
     chosen = (value,) if isinstance(value, str) else tuple(value)
     for group in chosen:
-        if group not in known:
+        if not isinstance(group, str) or group not in known:
             words = ["auto", *known]
             raise SpecError(
                 f"{name}: there is no group {group!r}",

@@ -205,6 +205,8 @@ class StaticFriction(StaticModel):
         self.period_ = float(facts["period_s"])
         super().restore(arrays, facts)
         self._take_names(self.parameter_names_, tuple(facts["terms"]))
+        if int(self._alive.sum()) != len(self.coefficients_) - len(self._form.names):
+            raise ValueError(f"terms: {facts['terms']!r:.60}")
 
     def _dry(self) -> tuple[str, ...]:
         """Terms that add up to the dry friction of an unloaded joint."""

@@ -327,7 +327,7 @@ def _column(dataset: Dataset, name: str) -> FloatArray:
         raise DataError(
             f"input {name!r} of the network: {error.message}", hint=error.hint
         ) from error
-    return values.reshape(len(dataset), -1)
+    return values if values.ndim == 2 else values[:, None]
 
 
 def require_layout(X: FloatArray, first: int, names: list[str]) -> None:
