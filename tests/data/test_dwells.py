@@ -1,3 +1,9 @@
+"""Dwells are found in motion, and averaged."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -71,8 +77,6 @@ def test_planned_dwells_that_did_not_settle_are_left_out() -> None:
         Conditions(c.id, c.kind, c.source, pose=c.pose, settled=c.pose != 3)
         for c in data.conditions
     )
-    from dataclasses import replace
-
     found = dwells_of(replace(data, conditions=unsettled), RestRule())
     assert [c.pose for c in found.conditions] == [0, 1, 2, 4]
 

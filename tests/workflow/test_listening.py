@@ -27,7 +27,7 @@ from hil.robot import Capabilities, Identity, Limits, Listens, Robot
 from hil.robot.state import Status, Topic
 from hil.workflow import passive_recording
 from hil.workflow.passive_recording import RecordingRequest, fit_notes, record_passively
-from tests.data.test_passive_plan import motion
+from tests.support.passive_motion import motion
 
 BLOCK = 10
 LATER_S = 3.0

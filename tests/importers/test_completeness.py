@@ -39,7 +39,7 @@ speeds = hnp.arrays(np.float64, st.integers(1, 60), elements=st.sampled_from([0.
 
 @pytest.mark.thorough
 @given(speeds)
-@settings(max_examples=300)
+@settings(max_examples=300, deadline=None)
 def test_a_dwell_is_over_in_the_data_exactly_if_the_engine_called_it_over(
     speed: FloatArray,
 ) -> None:
@@ -50,6 +50,7 @@ def test_a_dwell_is_over_in_the_data_exactly_if_the_engine_called_it_over(
 
 
 @given(speeds)
+@settings(deadline=None)
 def test_a_dwell_that_settled_for_the_engine_settles_in_the_data(speed: FloatArray) -> None:
     rows = dwell_rows(speed)
     watch = DwellWatch(RULE)

@@ -1,5 +1,7 @@
 """How a joint came to rest is seen in its positions, at any rate, and stays with its dwell."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 
 import numpy as np

@@ -9,36 +9,10 @@ from hypothesis import strategies as st
 from hil.arms.payload import Payload
 from hil.core.typing import StructArray
 from hil.data.dwells import find_dwells
-from hil.importers.passive_plan import (
-    MOST_HELD_BACK,
-    DetectedSteps,
-    Segmenter,
-)
+from hil.importers.passive_plan import MOST_HELD_BACK, DetectedSteps, Segmenter
 from hil.importers.sources import dwell_rule_of, steps_of_plan
-from hil.robot.state import state_dtype
 from tests.support.fuzzing import examples
-
-RATE_HZ = 125.0
-GO, STAY = 1.0, 0.4
-PROGRAM = [(0.0, STAY), (0.5, GO), (0.5, STAY), (-0.3, GO), (-0.3, STAY), (0.5, GO), (0.5, STAY)]
-
-
-def motion(program=PROGRAM, noise: float = 0.0) -> StructArray:
-    """Rows of an arm that goes to angles: (where at the end, for how long)."""
-    t, q, qd, at = [0.0], [program[0][0]], [0.0], program[0][0]
-    for end, seconds in program:
-        n = round(seconds * RATE_HZ)
-        s = np.arange(1, n + 1) / n
-        t += (t[-1] + s * seconds).tolist()
-        q += (at + (end - at) * (10 * s**3 - 15 * s**4 + 6 * s**5)).tolist()
-        qd += ((end - at) * (30 * s**2 - 60 * s**3 + 30 * s**4) / seconds).tolist()
-        at = end
-    rows = np.zeros(len(t), state_dtype(6))
-    rows["device_time"] = t
-    rows["q"] = np.array(q)[:, None]
-    rows["qd"] = np.array(qd)[:, None]
-    rows["qd"] += np.random.default_rng(0).uniform(-noise, noise, rows["qd"].shape)
-    return rows
+from tests.support.passive_motion import GO, STAY, motion
 
 
 def found(rows: StructArray, cuts: list[int]) -> StructArray:

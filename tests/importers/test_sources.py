@@ -1,5 +1,7 @@
 """Run directories and MCAP files become datasets whose series know their conditions."""
 
+from __future__ import annotations
+
 import json
 
 import numpy as np
