@@ -15,7 +15,7 @@ from hil.cli.app import app
 from hil.cli.progress import TrainingLine
 from hil.core.errors import SpecError
 from hil.networks.training import Told
-from tests.estimators.test_sources import recording
+from tests.support.imported_motions import recording
 
 SMALL = {
     "network": {"hidden": [8, 8]},

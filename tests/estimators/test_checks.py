@@ -1,83 +1,46 @@
-"""What static and rigid fits refuse before they compute anything."""
+"""What fits refuse beyond the contract of test_conformance.py, and models of another robot."""
+
+from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from hil.core.errors import FitError
-from hil.dynamics import RobotModel
-from hil.estimators import estimator
+from hil.core.errors import DataError, FitError
+from hil.dynamics import RobotModel, load_model
+from hil.dynamics.robot_model import may_be
+from hil.estimators import load_model_file
 from hil.estimators.checks import require_plausible
-from tests.support.bad_networks import LAGRANGIAN, RESIDUAL
-from tests.support.synthetic_motion import GAINS, dwelling, moving, nominal
-
-FITS = [
-    ("static-wls", {}),
-    ("static-wls", {"form": "paper"}),
-    ("static-linear", {"method": "wls"}),
-    ("static-inverse", {}),
-    ("static-mlp-lm", {"layers": (4, 3, 1), "epochs": 2}),
-    ("rigid-wls", {}),
-    ("rigid-hysteresis", {}),
-    ("lagrangian", LAGRANGIAN),
-    ("residual", RESIDUAL),
-]
+from hil.estimators.payload import estimate_payload
+from hil.estimators.rigid_linear import RigidWls
+from hil.estimators.static_model import StaticWls
+from hil.evaluation import evaluate
+from hil.evaluation.validation import under_load
+from tests.support.load_parts import OFF_AXIS, recorded
+from tests.support.synthetic_motion import GAINS, dwelling, nominal, raw
 
 
-def data_for(name):
-    return dwelling(60) if name.startswith("static") else moving(1, samples=100)
-
-
-def fit(name, params, data):
-    return estimator(name, **params).fit(data, nominal())
-
-
-@pytest.mark.parametrize(("name", "params"), FITS)
-def test_an_effort_that_is_zero_throughout_is_refused(name, params) -> None:
-    data = data_for(name)
-    silent = {column: 0.0 * data[column] for column in data.columns if "effort" in column}
-    with pytest.raises(FitError, match="0 in every row and joint"):
-        fit(name, params, data.with_columns(**silent))
-
-
-@pytest.mark.parametrize("gain", [0.0, -9.0, np.nan, np.inf])
-@pytest.mark.parametrize(("name", "params"), FITS)
-def test_drive_gains_that_cannot_be_are_refused_by_joint(name, params, gain) -> None:
-    gains = np.array([*GAINS[:2], gain, *GAINS[3:]])
-    with pytest.raises(FitError, match="must be finite and above 0, but elbow_joint") as told:
-        fit(name, params, replace(data_for(name), drive_gains=gains))
-    assert "drive_gains_nm_a" in told.value.hint
-
-
-def test_a_target_that_is_zero_for_one_joint_is_fitted() -> None:
+@pytest.mark.parametrize("form", ["shared", "paper"])
+def test_a_target_that_is_zero_for_one_joint_is_fitted(form) -> None:
     """A torque-measuring arm in simulation: nothing pulls at a vertical axis."""
     data = dwelling(60)
     silent = data.with_columns(effort=data["effort"] * [0.0, 1.0, 1.0, 1.0, 1.0, 1.0])
-    for form in ("shared", "paper"):
-        predicted = fit("static-wls", {"form": form}, silent).predict(silent).effort
-        assert predicted[:, 0] == pytest.approx(0.0, abs=1e-9)
+    predicted = StaticWls(form=form).fit(silent, nominal()).predict(silent).effort
+    assert predicted[:, 0] == pytest.approx(0.0, abs=1e-9)
 
 
 def spoiled(data, value):
     effort = data["effort"].copy()
     effort[37, 3] = value
-    changed = {name: effort for name in data.columns if "effort" in name}
-    return data.with_columns(**changed)
-
-
-@pytest.mark.parametrize(("name", "params"), FITS)
-def test_one_sample_that_cannot_be_is_refused_by_series_and_joint(name, params) -> None:
-    data = spoiled(data_for(name), -1e6)
-    series = data.conditions[data.series_index()[37]].id
-    with pytest.raises(FitError, match=rf"wrist_1_joint .* -1e\+06 A in series {series}, "):
-        fit(name, params, data)
+    return data.with_columns(effort=effort)
 
 
 def test_without_gains_or_limits_only_what_nobody_builds_is_refused() -> None:
     data = replace(dwelling(60), drive_gains=None)
     with pytest.raises(FitError, match="cannot be"):
-        fit("static-wls", {"form": "paper"}, spoiled(data, 1e6))
+        StaticWls(form="paper").fit(spoiled(data, 1e6), nominal())
     unlimited = RobotModel.from_arm("ur5")
     unlimited.effort_max = np.zeros(6)
     require_plausible(spoiled(data, 1e3), unlimited)
@@ -89,3 +52,54 @@ def test_a_joint_at_its_limit_and_efforts_in_another_unit_are_no_outliers() -> N
     data = dwelling(60)
     require_plausible(spoiled(data, 3 * nominal().effort_max[3] / GAINS[3]), nominal())
     require_plausible(data.with_columns(effort=1e3 * data["effort"]), nominal())
+
+
+# Models of another robot, by name and by the arms' axes
+
+ARM = """<robot name="arm">
+<link name="base"/><link name="upper">{body}</link><link name="lower">{body}</link>
+<joint name="a" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 0 1"/>
+<limit lower="-3" upper="3" velocity="2" effort="100"/></joint>
+<joint name="b" type="revolute"><parent link="upper"/><child link="lower"/>
+<origin xyz="{reach} 0 0.2" rpy="{roll} 0 0"/><axis xyz="0 0 1"/>
+<limit lower="-3" upper="3" velocity="2" effort="100"/></joint></robot>"""
+BODY = """<inertial><mass value="1"/>
+<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>"""
+
+
+def urdf(folder: Path, name: str, reach: float = 0.4, roll: float = 0.0) -> str:
+    path = folder / f"{name}.urdf"
+    path.write_text(ARM.format(reach=reach, roll=roll, body=BODY), "utf-8")
+    return str(path)
+
+
+def test_built_in_arms_are_told_by_name_and_the_nameless_pass() -> None:
+    ur5 = load_model("ur5")
+    for name in ("ur5", "", "the arm in the corner", "gone/arm.urdf"):
+        assert may_be(name, ur5)
+    for name in ("ur10e", "ur5e"):
+        assert not may_be(name, ur5)
+
+
+def test_urdfs_are_told_by_how_their_axes_lie(tmp_path: Path) -> None:
+    own = load_model(urdf(tmp_path, "own"))
+    assert may_be(urdf(tmp_path, "calibrated", reach=0.403, roll=0.01), own)
+    assert not may_be(urdf(tmp_path, "longer", reach=0.5), own)
+    assert not may_be(urdf(tmp_path, "inclined", roll=0.3), own)
+    assert not may_be("ur5", own)
+
+
+def test_a_model_of_a_ur10e_is_not_judged_on_a_ur5(tmp_path: Path) -> None:
+    ur5 = recorded(1, 1, 2)
+    other = RigidWls().fit(replace(ur5, robot="ur10e"), load_model("ur10e"))
+    loaded = raw(recorded(1, 5, load=OFF_AXIS[1]))
+    stored = load_model_file(other.save(tmp_path / "model"))
+    for judge in (
+        lambda model: model.predict(ur5),
+        lambda model: evaluate(model, loaded),
+        lambda model: estimate_payload(model, loaded),
+        lambda model: under_load(model, loaded, None),
+    ):
+        with pytest.raises(DataError, match="the model is of a ur10e, the data are of a ur5"):
+            judge(stored)
+    assert len(stored.predict(replace(ur5, robot="")).effort)

@@ -1,12 +1,14 @@
-"""Loads from motion: MuJoCo's torques, friction that depends on the load, a convex peer."""
+"""Loads of an arm: from motion, from poses that it holds, and against what was declared."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from hil.arms.payload import Payload
 from hil.core.errors import DataError, FitError, SpecError
@@ -23,22 +25,33 @@ from hil.estimators.payload import (
     true_values,
     with_identified,
 )
+from hil.estimators.payload_at_rest import estimate_payload_at_rest
+from hil.estimators.payload_declaration import FALSE_ALARM, Floor, check_declarations
 from hil.estimators.rigid_linear import RigidWls
+from hil.estimators.static_model import StaticWls
 from tests.support.dynamics_arms import mjcf, mujoco_torques
-from tests.support.load_parts import OFF_AXIS, recorded
+from tests.support.load_parts import (
+    OFF_AXIS,
+    ON_AXIS,
+    QUIET_A,
+    estimates,
+    recorded,
+    undeclared,
+    under_load,
+)
 from tests.support.synthetic_motion import (
     COULOMB,
     GAINS,
     LOAD,
     ROTORS,
     VISCOUS,
+    dwelling,
     fourier,
     moving,
     nominal,
     plant,
 )
 
-NOISE_A = 0.02
 SHARE = 0.07
 
 
@@ -58,19 +71,12 @@ def grown(rigid, qd):
 
 
 def bare(kind=RigidWls):
-    return kind().fit(moving(1, 2, 3, noise_a=NOISE_A), nominal())
+    return kind().fit(moving(1, 2, 3, noise_a=QUIET_A), nominal())
 
 
 @cache
 def model() -> RigidWls:
     return bare()
-
-
-def under_load(*seeds, load=LOAD, noise_a=NOISE_A) -> Dataset:
-    """Recordings with the load mounted, which nobody declared."""
-    data = moving(*seeds, noise_a=noise_a, load=load)
-    conditions = tuple(replace(c, payload=Payload()) for c in data.conditions)
-    return replace(data, conditions=conditions)
 
 
 def test_a_load_in_mujoco_is_found() -> None:
@@ -155,7 +161,7 @@ def test_a_load_settles_however_wrong_the_gains_are() -> None:
 @pytest.mark.parametrize("joint", [1, 2, 4])
 def test_a_load_is_as_much_too_light_as_gains_say(joint: int) -> None:
     wide = replace(LOAD, inertia=(0.05, 0.06, 0.04, 0.0, 0.0, 0.0))  # no limit of bodies is near
-    data, arm = under_load(5, 6, load=wide), moving(5, 6, noise_a=NOISE_A)
+    data, arm = under_load(5, 6, load=wide), moving(5, 6, noise_a=QUIET_A)
     larger = np.where(np.arange(6) == joint, 1.002, 1.0)
     effort = arm["effort"] + (data["effort"] - arm["effort"]) / larger
     short = data.with_columns(effort=effort, effort_f=effort)
@@ -186,13 +192,13 @@ def test_rows_left_out_are_not_looked_at() -> None:
 def test_halves_are_tested_on_each_other() -> None:
     one, two = payload_halves(model(), under_load(5))
     assert (one.fitted, two.fitted) == ("first", "second")
-    assert one.rmse_raw == pytest.approx(np.full(6, NOISE_A), rel=0.2)
+    assert one.rmse_raw == pytest.approx(np.full(6, QUIET_A), rel=0.2)
     assert np.all(two.rmse_ignored[1:4] > 3 * two.rmse_raw[1:4])
 
 
 @pytest.mark.thorough
 def test_a_declared_load_does_not_count() -> None:
-    declared = moving(5, noise_a=NOISE_A, load=LOAD)
+    declared = moving(5, noise_a=QUIET_A, load=LOAD)
     assert estimate_payload(model(), declared).payload == (
         estimate_payload(model(), under_load(5)).payload
     )
@@ -210,7 +216,7 @@ def test_an_identified_load_is_what_a_model_predicts_with() -> None:
     data = under_load(5)
     found = estimate_payload(model(), data).payload
     error = model().predict(with_identified(data, found)).effort - data["effort"]
-    assert np.sqrt(np.mean(error**2)) < 1.1 * NOISE_A
+    assert np.sqrt(np.mean(error**2)) < 1.1 * QUIET_A
 
 
 def test_what_cannot_tell_a_load_is_refused() -> None:
@@ -273,3 +279,303 @@ def test_errors_of_gains_widen_the_intervals_that_know_of_them() -> None:
     assert np.all(np.diff(aware.interval) > np.diff(found.interval))
     assert aware.values is found.values
     assert in_torques.interval == pytest.approx(found.interval)
+
+
+# At rest: friction from both sides, and what does not show
+
+FRICTION_NM = 4.0
+CENTRED = replace(LOAD, com=(0.0, 0.0, 0.06))
+
+
+@cache
+def arm(kind=StaticWls):
+    if kind is RigidWls:
+        return RigidWls().fit(moving(1, 2, 3), nominal())
+    return kind().fit(dwelling(60, seed=1, both=True), nominal())
+
+
+def held(poses=6, *, load: Payload | None = LOAD, both=True, **options) -> Dataset:
+    """Dwells with a load that nobody declared."""
+    data = dwelling(poses, seed=7, stiction_nm=FRICTION_NM, both=both, load=load, **options)
+    return undeclared(data)
+
+
+def at(q, load: Payload = LOAD) -> Dataset:
+    """Dwells at these poses (P, 6), from both sides."""
+    data = held(len(q), load=load)
+    pose = np.repeat(q, 20, axis=0)
+    side = np.tile(np.repeat([1.0, -1.0], 10), len(q))[:, None]
+    torque = plant().with_payload(load).gravity(pose) + FRICTION_NM * side
+    return data.with_columns(q=pose, effort=torque / GAINS)
+
+
+@pytest.mark.parametrize("kind", [StaticWls, RigidWls])
+def test_mass_and_centre_show_at_rest_and_inertia_does_not(kind) -> None:
+    found = estimate_payload_at_rest(arm(kind), held())
+    assert found.values[:4] == pytest.approx(true_values(LOAD)[:4], rel=0.05, abs=3e-3)
+    assert found.payload.mass == found.values[0]
+    assert np.isnan(found.values[4:]).all()
+    assert not any(found.determined[name] for name in ("Ixx", "Iyz"))
+    assert "does not show a load's inertia" in found.notes[0]
+
+
+def test_what_does_not_show_is_null_in_json() -> None:
+    told = estimate_payload_at_rest(arm(), held()).to_dict()
+    assert told["payload"]["inertia_kgm2"] == [None] * 6
+    assert told["parameters"][9]["interval_95"] == [None, None]
+    assert told["payload"]["com_m"] == pytest.approx(LOAD.com, abs=5e-3)
+
+
+def test_the_bare_arm_weighed_too_takes_the_model_s_errors_away() -> None:
+    shift = np.array([0.1, -0.3, 0.2, 0.05, 0.04, -0.03])
+    loaded, bare = held(), held(load=None)
+    moved = [data.with_columns(effort=data["effort"] + shift) for data in (loaded, bare)]
+    plain = estimate_payload_at_rest(arm(), moved[0])
+    tared = estimate_payload_at_rest(arm(), moved[0], bare=moved[1])
+    truth = true_values(LOAD)[:4]
+    assert tared.values[:4] == pytest.approx(truth, rel=2e-3, abs=1e-3)
+    assert np.abs(plain.values[1:4] - truth[1:]).max() > 4e-3
+    assert np.all(tared.std_error[:4] < 0.7 * plain.std_error[:4])
+
+
+def test_the_bare_arm_must_have_held_the_same_poses() -> None:
+    elsewhere = undeclared(dwelling(6, seed=8, both=True))
+    with pytest.raises(DataError, match="6 of 6 poses were not held with the bare flange"):
+        estimate_payload_at_rest(arm(), held(), bare=elsewhere)
+    one_sided = held(load=None, both=False)
+    with pytest.raises(DataError, match="not approached from the same sides"):
+        estimate_payload_at_rest(arm(), held(), bare=one_sided)
+
+
+def test_errors_grow_with_those_of_the_gains() -> None:
+    sure, unsure = (
+        estimate_payload_at_rest(arm(), held(), bare=held(load=None), gain_share=share)
+        for share in (0.0, 0.1)
+    )
+    assert unsure.std_error[0] > LOAD.mass * 0.03 > 1.2 * sure.std_error[0]
+
+
+def test_nothing_mounted_has_no_centre() -> None:
+    found = estimate_payload_at_rest(arm(), held(load=None))
+    assert found.payload.is_empty
+    assert found.interval[0, 0] < 0.0 < found.interval[0, 1]
+    assert np.isnan(found.values[1:]).all()
+    assert found.to_dict()["payload"]["com_m"] == [None] * 3
+
+
+def test_a_vertical_flange_does_not_show_how_far_out_the_centre_is() -> None:
+    lift, elbow = np.radians([[-60, -90, -110, -70], [60, 90, 110, 20]])
+    q = np.zeros((4, 6))
+    q[:, 0], q[:, 1], q[:, 2], q[:, 5] = [0.1, 0.5, 1.0, -0.4], lift, elbow, [0.0, 1.0, 2.0, -2.0]
+    q[:, 3], q[:, 4] = np.radians(-90) - lift - elbow, np.radians(-90)
+    found = estimate_payload_at_rest(arm(), at(q))
+    assert np.isfinite(found.values[:3]).all()
+    assert np.isnan(found.values[3])
+    assert any("do not show com_z" in note for note in found.notes)
+
+
+def test_poses_that_the_load_does_not_load_do_not_show_its_mass() -> None:
+    upright = np.tile(np.radians([0.0, -90, 0, -90, 0, 0]), (2, 1))
+    upright[1, 0] = 1.0
+    with pytest.raises(FitError, match="do not show the mass"):
+        estimate_payload_at_rest(arm(), at(upright))
+
+
+def test_a_centre_on_the_axis_does_not_show_the_angle_of_the_mount() -> None:
+    on, off = (
+        estimate_payload_at_rest(arm(), held(load=load), bare=held(load=None))
+        for load in (CENTRED, LOAD)
+    )
+    assert any("which way round" in note for note in on.notes)
+    assert not any("which way round" in note for note in off.notes)
+
+
+def test_from_one_side_friction_is_part_of_the_errors() -> None:
+    both = estimate_payload_at_rest(arm(RigidWls), held())
+    one = estimate_payload_at_rest(arm(RigidWls), held(both=False))
+    assert 3 * both.std_error[0] < one.std_error[0] < 6 * both.std_error[0]
+    assert one.interval[0, 0] <= LOAD.mass <= one.interval[0, 1]
+    assert any("6 of 6 poses were approached from one side only" in note for note in one.notes)
+    with pytest.raises(FitError, match="approached from both sides"):
+        estimate_payload_at_rest(arm(), held(both=False))
+
+
+def test_an_arm_lighter_than_its_model_is_no_load() -> None:
+    loaded = undeclared(dwelling(60, seed=1, both=True, load=LOAD))
+    heavy = StaticWls().fit(loaded, nominal())
+    with pytest.raises(FitError, match="lighter at the flange than the model has it"):
+        estimate_payload_at_rest(heavy, held(load=None))
+
+
+def test_motion_without_a_rest_says_so() -> None:
+    with pytest.raises(FitError, match="never rested"):
+        estimate_payload_at_rest(arm(), moving(1))
+
+
+def test_a_model_without_gains_does_not_weigh() -> None:
+    data = replace(dwelling(60, seed=1, both=True), drive_gains=None)
+    blind = StaticWls(form="paper").fit(data, nominal())
+    with pytest.raises(FitError, match="nobody knows how much torque"):
+        estimate_payload_at_rest(blind, held(load=None))
+
+
+def test_a_model_that_hardly_knows_its_arm_is_unsure() -> None:
+    vague = StaticWls().fit(dwelling(60, seed=1, both=True), nominal())
+    vague.sigma_ = 3.0 * FRICTION_NM / GAINS
+    found = estimate_payload_at_rest(vague, held())
+    assert found.std_error[0] > 1.5 * estimate_payload_at_rest(arm(), held()).std_error[0]
+    tared = estimate_payload_at_rest(vague, held(), bare=held(load=None))
+    assert tared.std_error[0] < 0.3 * found.std_error[0]
+
+
+# Declared against identified, on arms whose gains are not known exactly
+
+SEEDS = range(100, 107)
+"""Arms; three loads each."""
+few_or_all = pytest.mark.parametrize(
+    "seeds", [SEEDS[:1], pytest.param(SEEDS[1:], marks=pytest.mark.thorough)], ids=["one", "others"]
+)
+
+
+def turned(load: Payload, degrees: float) -> Payload:
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    x, y, z = load.com
+    return replace(load, com=(float(c * x - s * y), float(s * x + c * y), z))
+
+
+def shifted(load: Payload, axis: int, by: float) -> Payload:
+    com = list(load.com)
+    com[axis] += by
+    return replace(load, com=tuple(com))
+
+
+def heavier(load: Payload, by: float) -> Payload:
+    return replace(load, mass=load.mass + by)
+
+
+def kinds(seed: int, wrong: int, mistake: Callable[[Payload], Payload]) -> list[list[str]]:
+    """What is found about each load of an arm where one of them is declared wrongly."""
+    declared = list(OFF_AXIS)
+    declared[wrong] = mistake(declared[wrong])
+    checked = check_declarations(declared, estimates(seed))
+    return [[finding.kind for finding in one.findings] for one in checked]
+
+
+@few_or_all
+def test_correct_declarations_agree(seeds: range) -> None:
+    for seed in seeds:
+        checked = check_declarations(OFF_AXIS, estimates(seed))
+        assert all(one.agrees and one.trusted for one in checked)
+
+
+@few_or_all
+@pytest.mark.parametrize("by", [0.3, -0.3])
+def test_three_kilograms_are_known_to_300_grams(by: float, seeds: range) -> None:
+    for seed in seeds:
+        assert kinds(seed, 1, lambda load: heavier(load, by)) == [[], ["mass"], []]
+
+
+@few_or_all
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("wrong", [0, 1, 2])
+def test_a_centre_30_mm_off_is_named(axis: int, wrong: int, seeds: range) -> None:
+    for seed in seeds:
+        found = kinds(seed, wrong, lambda load: shifted(load, axis, 0.03))
+        assert found == [["centre"] if i == wrong else [] for i in range(3)]
+
+
+@few_or_all
+@pytest.mark.parametrize("degrees", [180.0, 90.0])
+@pytest.mark.parametrize("wrong", [0, 1, 2])
+def test_a_turned_tool_is_named_with_its_angle(wrong: int, degrees: float, seeds: range) -> None:
+    for seed in seeds:
+        declared = list(OFF_AXIS)
+        declared[wrong] = turned(declared[wrong], -degrees)
+        found = check_declarations(declared, estimates(seed))
+        assert [f.kind for one in found for f in one.findings] == ["mount"]
+        told = found[wrong].findings[0].text
+        angle = float(told.split("°")[0].split()[-1])
+        assert abs(abs(angle) - degrees) < 15.0
+
+
+@few_or_all
+@pytest.mark.parametrize("wrong", [0, 1, 2])
+def test_an_absurd_inertia_is_named(wrong: int, seeds: range) -> None:
+    absurd = (0.9, 0.9, 0.9, 0.0, 0.0, 0.0)
+    for seed in seeds:
+        found = kinds(seed, wrong, lambda load: replace(load, inertia=absurd))
+        assert found == [["inertia"] if i == wrong else [] for i in range(3)]
+
+
+def test_an_inertia_that_no_body_has_is_named() -> None:
+    impossible = (1e-3, 1e-3, 5e-3, 0.0, 0.0, 0.0)
+    assert kinds(100, 1, lambda load: replace(load, inertia=impossible))[1] == ["no body"]
+
+
+def test_an_inertia_that_nobody_declared_is_not_judged() -> None:
+    assert kinds(100, 2, lambda load: replace(load, inertia=6 * (0.0,))) == [[], [], []]
+
+
+def test_two_mistakes_in_one_load_are_both_named() -> None:
+    found = kinds(100, 1, lambda load: heavier(turned(load, 180.0), -0.5))
+    assert found == [[], ["mass", "mount"], []]
+
+
+def test_a_load_that_was_forgotten_is_named_by_its_mass() -> None:
+    assert kinds(100, 1, lambda _: Payload()) == [[], ["mass"], []]
+
+
+def test_a_load_that_nobody_mounted_is_named_by_its_mass() -> None:
+    mounted = (OFF_AXIS[0], Payload(), OFF_AXIS[2])
+    checked = check_declarations(OFF_AXIS, estimates(100, mounted))
+    assert [[finding.kind for finding in one.findings] for one in checked] == [[], ["mass"], []]
+
+
+def test_a_wrong_load_is_trusted_by_no_other() -> None:
+    declared = [OFF_AXIS[0], heavier(OFF_AXIS[1], 0.4), OFF_AXIS[2]]
+    checked = check_declarations(declared, estimates(100))
+    assert [one.trusted for one in checked] == [True, False, True]
+
+
+@pytest.mark.thorough
+def test_other_loads_tell_the_gains() -> None:
+    errors = []
+    for seed in SEEDS:
+        alone = check_declarations(OFF_AXIS[1:2], estimates(seed)[1:2])[0]
+        among = check_declarations(OFF_AXIS, estimates(seed))[1]
+        assert among.limit[0] < 0.8 * alone.limit[0]
+        errors.append([one.found[0] - OFF_AXIS[1].mass for one in (alone, among)])
+    by_itself, by_others = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert by_others < 0.3 * by_itself
+
+
+def test_the_angle_of_a_load_on_the_axis_cannot_be_observed() -> None:
+    on = check_declarations(ON_AXIS, estimates(100, ON_AXIS))
+    off = check_declarations(OFF_AXIS, estimates(100))
+    assert not any(one.mount_observable for one in on)
+    assert all(one.agrees for one in on)
+    assert all(one.mount_observable for one in off)
+    again = check_declarations([turned(load, 180.0) for load in ON_AXIS], estimates(100, ON_AXIS))
+    assert all(one.agrees for one in again)
+
+
+def test_few_blocks_of_time_mean_wider_limits() -> None:
+    known = estimates(100)[1]
+    rare = replace(known, degrees=np.full(10, 3.0))
+    many = replace(known, degrees=np.full(10, 300.0))
+    limits = [check_declarations(OFF_AXIS[1:2], [one])[0].limit for one in (rare, many)]
+    assert np.all(limits[0] > limits[1])
+
+
+def test_an_estimate_without_noise_is_still_no_surer_than_the_model() -> None:
+    exact = replace(estimates(100)[1], covariance=np.zeros((10, 10)), by_gain=np.zeros((10, 6)))
+    limit = check_declarations(OFF_AXIS[1:2], [exact], floor=Floor(com_m=0.004))[0].limit
+    assert limit[1:4] == pytest.approx(limit[1])
+    assert limit[1] == pytest.approx(0.004 * norm.isf(FALSE_ALARM / 20))
+    assert limit[0] > 0.01 * 3.0 * 3.0
+
+
+def test_fewer_false_alarms_mean_wider_limits() -> None:
+    loose = check_declarations(OFF_AXIS, estimates(100), false_alarm=1e-4)
+    tight = check_declarations(OFF_AXIS, estimates(100), false_alarm=1e-2)
+    assert all(np.all(a.limit > b.limit) for a, b in zip(loose, tight, strict=True))

@@ -1,18 +1,31 @@
 """The default dynamic estimator on a UR5 whose friction remembers, simulated sample by sample."""
 
+from __future__ import annotations
+
 import json
+from dataclasses import replace
 from hashlib import sha256
 
 import numpy as np
 import pytest
 from safetensors.numpy import load_file, save_file
 
+from hil.arms.payload import Payload
 from hil.core.errors import DataError
+from hil.data import Dataset
 from hil.data.filters import filter_columns, prepare
+from hil.dynamics import RobotModel
 from hil.dynamics.inertial import is_consistent
 from hil.estimators import estimator, load_model_file
+from hil.estimators.consistent import InertialBounds
+from hil.estimators.friction_library import LOADED
+from hil.estimators.friction_memory import carried_step, dahl_states
+from hil.estimators.payload import _filtered
+from hil.estimators.rigid_hysteresis import BANDWIDTHS, MOTION_HZ, RigidHysteresis, filters_for
+from tests.support.dynamics_arms import urdf, written
+from tests.support.load_parts import undeclared
 from tests.support.synthetic_memory import dahl_loop, remembering
-from tests.support.synthetic_motion import GAINS, LOAD, nominal, plant
+from tests.support.synthetic_motion import GAINS, LOAD, dwelling, moving, nominal, plant, raw
 
 NOISE_A = 0.02
 GROUPS = ("core", "load", "speed p", "memory 30")
@@ -76,17 +89,6 @@ def test_links_can_exist_and_mass_matrices_are_positive_definite(fitted) -> None
         M = M - robot.torque(fitted.inertial_, at, still, still)
         assert pytest.approx(M.T, abs=1e-9) == M
         assert np.linalg.eigvalsh(M)[0] > 0.0
-
-
-def test_components_add_up_to_the_effort(fitted) -> None:
-    test = remembering(9, load=LOAD)
-    prediction = fitted.predict(test)
-    assert set(prediction.components) == {
-        "gravity", "inertia", "friction", "ripple", "payload"
-    }  # fmt: skip
-    assert sum(prediction.components.values()) == pytest.approx(prediction.effort, abs=1e-12)
-    assert np.all(prediction.valid)
-    assert prediction.std[0] == pytest.approx(fitted.sigma_)
 
 
 def by_hand(model, data):
@@ -153,15 +155,6 @@ def test_a_declared_load_changes_friction_through_the_gears(quick) -> None:
     assert np.all(error[1:3] < 0.9 * blind[1:3])
 
 
-def test_model_file_gives_identical_predictions(fitted, held_out, tmp_path) -> None:
-    again = load_model_file(fitted.save(tmp_path / "model"))
-    assert np.array_equal(again.predict(held_out).effort, fitted.predict(held_out).effort)
-    assert np.array_equal(again.inertial_, fitted.inertial_)
-    assert again.parameter_names_ == fitted.parameter_names_
-    arrays = fitted.fitted_arrays()
-    assert len(again.parameter_names_) == len(arrays["rigid"]) + len(arrays["friction"])
-
-
 @pytest.mark.parametrize(
     "damage",
     [
@@ -190,3 +183,187 @@ def test_a_damaged_model_file_is_refused(quick, tmp_path, damage) -> None:
     with pytest.raises(DataError, match=r"model\.json") as caught:
         load_model_file(folder)
     assert "fit the model again" in str(caught.value.hint)
+
+
+# Robots, recordings and parameters that are not the usual
+
+
+@pytest.fixture(scope="module")
+def two():
+    return remembering(1, 2, noise_a=0.0)
+
+
+def test_the_core_need_not_be_named() -> None:
+    assert estimator("rigid-hysteresis", friction=["load"]).friction == ("core", "load")
+    assert estimator("rigid-hysteresis", friction=()).friction == ("core",)
+
+
+@pytest.mark.thorough
+def test_one_trajectory_is_noted_and_two_are_not(two) -> None:
+    alone = made(friction="auto").fit(remembering(1), nominal())
+    assert any("one trajectory only" in note for note in alone.notes_)
+    assert made().fit(two, nominal()).notes_ == ()
+
+
+@pytest.mark.thorough
+def test_a_robot_of_a_urdf_has_no_ripple_unless_its_gear_ratio_is_given(two, tmp_path) -> None:
+    robot = RobotModel.from_urdf(written(tmp_path, urdf("ur5")))
+    plain = made(friction="auto").fit(two, robot)
+    assert not any("ripple" in name for name in plain.parameter_names_)
+    assert "ripple" not in plain.predict(two).components
+    geared = made(friction=("load", "ripple 1"), gear_ratio=101.0).fit(two, robot)
+    assert sum("ripple 1" in name for name in geared.parameter_names_) == 12
+    assert "ripple" in geared.predict(two).components
+
+
+@pytest.mark.thorough
+def test_warm_joints_are_learnt_where_temperature_varied() -> None:
+    ramp, other = (15.0, 45.0), (45.0, 15.0)
+    warm = remembering(1, 2, celsius=ramp, noise_a=0.0)
+    test = remembering(9, celsius=other, noise_a=0.0)
+    groups = ("load", "memory 30", "temperature")
+    model = made(friction=groups, fit_shapes=True).fit(warm, nominal())
+    blind = made(friction=groups[:2], fit_shapes=True).fit(warm, nominal())
+    assert np.all(rms(model, test)[[0, 2]] < 0.5 * rms(blind, test)[[0, 2]])
+
+
+@pytest.mark.thorough
+def test_temperature_with_gaps_is_left_alone(two) -> None:
+    celsius = np.linspace(20.0, 40.0, len(two))[:, None] * np.ones(6)
+    celsius[5, 3] = np.nan
+    model = made(friction="auto").fit(two.with_columns(temperature=celsius), nominal())
+    assert not any("temperature" in name for name in model.parameter_names_)
+    assert np.all(np.isfinite(model.predict(two).effort))
+
+
+def test_a_gap_in_the_temperature_that_is_predicted_with_stands_for_the_reference() -> None:
+    warm = remembering(1, 2, celsius=(15.0, 45.0))
+    model = made(friction=("temperature",)).fit(warm, nominal())
+    gaps = warm.with_columns(temperature=np.full((len(warm), 6), np.nan))
+    usual = warm.with_columns(temperature=np.full((len(warm), 6), 30.0))
+    assert np.array_equal(model.predict(gaps).effort, model.predict(usual).effort)
+
+
+@pytest.mark.thorough
+def test_joints_that_transmit_next_to_nothing_have_no_load_columns() -> None:
+    chosen = made(friction="auto").fit(remembering(1, 2, 3), nominal()).law_.chosen
+    assert LOADED & set(chosen[1])
+    assert LOADED & set(chosen[2])
+    assert not LOADED & set(chosen[5])
+    assert "memory 30" in chosen[5]
+
+
+def test_dwells_are_predicted_with_gravity_and_offset(two) -> None:
+    model = made().fit(two, nominal())
+    parts = model.predict(dwelling(4)).components
+    offsets = model.fitted_arrays()["friction"].reshape(6, 6)[:, 0] / model.torque_scale_
+    assert parts["friction"] == pytest.approx(np.tile(offsets, (40, 1)), abs=1e-12)
+    assert np.all(parts["inertia"] == 0.0)
+
+
+@pytest.mark.parametrize("samples", [1, 5])
+def test_a_series_too_short_for_the_filter_is_named(two, samples) -> None:
+    short = remembering(9, samples=samples)
+    for act in (
+        lambda: made().fit(Dataset.concatenate([two, short]), nominal()),
+        lambda: made().fit(two, nominal()).predict(short),
+    ):
+        with pytest.raises(DataError, match="t9"):
+            act()
+
+
+def test_filters_follow_the_motion_not_the_sample_rate() -> None:
+    slow = raw(moving(1, samples=800))
+    assert filters_for(slow).unit == "hz"
+    assert filters_for(slow).velocity == filters_for(slow).acceleration == MOTION_HZ
+    t = np.arange(800) / 100.0
+    quick = slow.with_columns(qd=np.sin(2 * np.pi * 3.0 * t)[:, None] * np.ones(6))
+    assert filters_for(quick).velocity == pytest.approx(BANDWIDTHS * 3.0, rel=0.2)
+    assert filters_for(slow.with_columns(t=5.0 * t)).effort <= 0.75 * 10.0
+
+
+# What labs bring: undeclared tools, noisy encoders, joints that warm up
+
+FEW = ["load", "speed p"]
+WARM_NM_A = 0.02
+"""Current per kelvin and rad/s that the joints below need less when warm."""
+
+
+@pytest.mark.thorough
+def test_a_tool_that_was_not_declared_is_told_or_does_no_harm() -> None:
+    train = [undeclared(remembering(i, load=LOAD)) for i in (1, 2, 3)]
+    test = undeclared(remembering(9, load=LOAD))
+    tight = RigidHysteresis(friction=FEW).fit(Dataset.concatenate(train), nominal())
+    loose = RigidHysteresis(friction=FEW, consistent=False)
+    loose.fit(Dataset.concatenate(train), nominal())
+    error, least = (
+        np.sqrt(np.mean((m.predict(test).effort - test["effort"]) ** 2)) for m in (tight, loose)
+    )
+    assert error < 1.2 * least or any("load" in note for note in tight.notes_)
+
+
+def test_links_that_had_to_be_as_heavy_as_they_may_be_are_told() -> None:
+    tool = Payload(15.0, (0.0, 0.0, 0.1))
+    data = Dataset.concatenate([undeclared(remembering(i, load=tool)) for i in (1, 2)])
+    model = RigidHysteresis(friction=FEW).fit(data, nominal())
+    assert any("as heavy as they may be" in note for note in model.notes_)
+
+
+def test_small_links_may_carry_a_tenth_of_the_arm() -> None:
+    masses = nominal().parameters(rotor=False).reshape(6, 10)[:, 0]
+    bounds = InertialBounds.nominal(nominal(), mass_factor=1.3)
+    assert bounds.mass_max[-1] == pytest.approx(0.13 * masses.sum())
+    assert bounds.mass_max[1] == pytest.approx(1.3 * masses[1])
+
+
+def test_a_load_is_looked_for_through_the_filters_the_model_chose() -> None:
+    model = RigidHysteresis(friction=FEW, consistent=False).fit(remembering(1, 2), nominal())
+    test = remembering(9)
+    seen = _filtered(model, test)["qd_f"]
+    assert np.array_equal(seen, prepare(test, model.filters_)["qd_f"])
+    assert not np.array_equal(seen, prepare(test)["qd_f"])
+
+
+def test_noise_of_an_encoder_does_not_wear_a_streams_memory_away() -> None:
+    rng = np.random.default_rng(0)
+    way = np.concatenate([np.linspace(0, 0.2, 400), np.full(400, 0.2)])[:, None]
+    qd = np.concatenate([np.full(400, 0.5), np.zeros(400)])[:, None]
+    clean = dahl_states(np.diff(way, axis=0, prepend=way[:1]), np.array([3e-4]))
+    noisy, last, steps = way + 2e-5 * rng.standard_normal(way.shape), None, []
+    for q, v in zip(noisy, qd, strict=True):
+        steps.append(carried_step(q, last, v))
+        last = q
+    carried = dahl_states(np.array(steps), np.array([3e-4]))
+    assert carried[-1] == pytest.approx(clean[-1], abs=1e-3)
+    naive = dahl_states(np.diff(noisy, axis=0, prepend=noisy[:1]), np.array([3e-4]))
+    assert abs(naive[-1] - clean[-1]) > 0.3
+
+
+def warming(data: Dataset, low: float, high: float) -> Dataset:
+    celsius = np.linspace(low, high, len(data))[:, None] * np.ones(6)
+    effort = data["effort"] - WARM_NM_A * (celsius - 30.0) * data["qd"]
+    return data.with_columns(temperature=celsius, effort=effort)
+
+
+@pytest.fixture(scope="module")
+def warmed():
+    parts = [warming(remembering(i), 35.0 + 3 * i, 40.0 + 3 * i) for i in (1, 2, 3)]
+    return RigidHysteresis(friction=[*FEW, "temperature"], consistent=False).fit(
+        Dataset.concatenate(parts), nominal()
+    )
+
+
+def test_without_temperatures_those_of_the_training_are_taken(warmed) -> None:
+    test = warming(remembering(9), 41.0, 46.0)
+    cold = replace(test, columns={k: v for k, v in test.columns.items() if k != "temperature"})
+    known, assumed = warmed.predict(test).effort, warmed.predict(cold).effort
+    at_30 = warmed.predict(test.with_columns(temperature=np.full_like(test["q"], 30.0))).effort
+    assert np.max(np.abs(assumed - known)) < 0.4 * np.max(np.abs(at_30 - known))
+
+
+def test_a_gap_in_the_temperatures_is_no_jump(warmed) -> None:
+    test = warming(remembering(9), 41.0, 46.0)
+    celsius = test["temperature"].copy()
+    celsius[400:410] = np.nan
+    gap = warmed.predict(test.with_columns(temperature=celsius)).effort
+    assert np.max(np.abs(gap - warmed.predict(test).effort)) < 0.3

@@ -39,7 +39,7 @@ from hil.models.log import (
 from hil.models.model_registry import Registry, facts_of
 from hil.models.promotion import BLOCK_S, Comparison, compare, fresh_part
 from hil.models.version import folder_of, numbers_in
-from tests.estimators.test_sources import recording
+from tests.support.imported_motions import recording
 from tests.support.paths import FILES
 from tests.support.synthetic_motion import moving, nominal
 

@@ -11,9 +11,7 @@ from hil.estimators.drive_gains import controller_gains
 from hil.estimators.payload import estimate_payload, true_values
 from hil.estimators.payload_declaration import FALSE_ALARM, check_declarations
 from hil.estimators.rigid_linear import RigidWls
-from tests.estimators.test_controller_gains import BELIEVED, logged
-from tests.estimators.test_payload import NOISE_A, under_load
-from tests.support.load_parts import OFF_AXIS, estimates
+from tests.support.load_parts import BELIEVED, OFF_AXIS, QUIET_A, estimates, logged, under_load
 from tests.support.synthetic_motion import LOAD, moving, nominal
 
 pytestmark = [pytest.mark.proof, pytest.mark.timeout(600)]
@@ -21,7 +19,7 @@ pytestmark = [pytest.mark.proof, pytest.mark.timeout(600)]
 
 def noisy(data: Dataset, seed: int, correlation: float) -> Dataset:
     white = np.random.default_rng(seed).normal(size=data["effort"].shape)
-    scaled = NOISE_A * np.sqrt(1 - correlation**2) * white
+    scaled = QUIET_A * np.sqrt(1 - correlation**2) * white
     effort = data["effort"] + lfilter([1.0], [1.0, -correlation], scaled, axis=0)
     return data.with_columns(effort=effort, effort_f=effort)
 

@@ -108,7 +108,6 @@ UNITS = (
         "payload and gain estimates have the errors that they state",
         "tests/proofs/test_loads.py",
         minutes=6,
-        further="tests/estimators/test_payload*.py tests/estimators/test_controller_gains.py",
     ),
     _tests(
         "payload-check",

@@ -8,7 +8,7 @@ import numpy as np
 
 from hil.arms.payload import Payload
 from hil.importers import import_recording
-from tests.estimators.test_sources import layout
+from tests.support.imported_motions import layout
 from tests.support.synthetic_motion import GAINS, fourier, true_torque
 
 SAMPLES, NOISE_A = 3000, 0.02

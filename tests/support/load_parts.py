@@ -1,4 +1,4 @@
-"""Arms whose drive gains nobody knows exactly, and loads of three sizes at their flanges."""
+"""Arms whose drive gains are not known exactly, their controllers' logs, and their loads."""
 
 from __future__ import annotations
 
@@ -6,14 +6,19 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
+from scipy.signal import lfilter
 
 from hil.arms.payload import Payload
 from hil.data.dataset import Dataset
 from hil.estimators.payload import PayloadEstimate, estimate_payload
 from hil.estimators.rigid_linear import RigidWls
-from tests.support.synthetic_motion import moving, nominal, raw
+from tests.support.synthetic_motion import COULOMB, GAINS, LOAD, VISCOUS, moving, nominal, raw
 
 NOISE_A = 0.03
+QUIET_A = 0.02
+BELIEVED = 1.1 * GAINS
+"""Gains by which a controller computes its currents."""
+
 GAIN_SHARE = 0.03
 SAMPLES = 600
 
@@ -66,3 +71,28 @@ def sweep(
         )
         parts.append(replace(data, conditions=tuple(conditions)))
     return raw(Dataset.concatenate(parts))
+
+
+def undeclared(data: Dataset) -> Dataset:
+    """The same recording without any load in its conditions."""
+    return replace(data, conditions=tuple(replace(c, payload=Payload()) for c in data.conditions))
+
+
+def under_load(*seeds: int, load: Payload = LOAD, noise_a: float = QUIET_A) -> Dataset:
+    """Recordings with the load mounted and not declared."""
+    return undeclared(moving(*seeds, noise_a=noise_a, load=load))
+
+
+def logged(*seeds: int, noise: float = 0.03, correlation: float = 0.95) -> Dataset:
+    """A controller that computes torques, and adds a control error that lasts a while."""
+    data = moving(*seeds, samples=1500)
+    motion = [data[name] for name in ("q", "qd", "qdd_f")]
+    torque = nominal().inverse_dynamics(*motion)
+    random = np.random.default_rng(sum(seeds))
+    size = noise * np.std(torque / BELIEVED, axis=0)
+    white = size * np.sqrt(1 - correlation**2) * random.normal(size=torque.shape)
+    error = lfilter([1.0], [1.0, -correlation], white, axis=0)
+    own = (0.8 * COULOMB * np.tanh(data["qd"] / 0.01) + 0.9 * VISCOUS * data["qd"]) / GAINS
+    current = torque / BELIEVED + own + error
+    declared = replace(data, drive_gains=np.full(6, 12.0))
+    return declared.with_columns(torque_target=torque, effort_target=current)

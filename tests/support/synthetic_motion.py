@@ -118,6 +118,20 @@ def dwelling(
     return dataset(columns, [10] * len(conditions), conditions, "current")
 
 
+K2 = np.array([0.0, -0.25, -0.3, 0.5, 0.0, 0.0])
+"""Of eq. 16, torque = K2·i·|i| + gain·i, in drives that bend [N·m/A²]."""
+
+
+def bent_currents(linear: FloatArray, k2: FloatArray) -> FloatArray:
+    """Currents that make the torque of linear ones in a drive that bends, by bisection."""
+    low, high = np.full_like(linear, -12.0), np.full_like(linear, 12.0)
+    for _ in range(60):
+        middle = (low + high) / 2
+        short = k2 * middle * np.abs(middle) + GAINS * middle < linear * GAINS
+        low, high = np.where(short, middle, low), np.where(short, high, middle)
+    return low
+
+
 def dataset(
     columns: dict[str, FloatArray],
     lengths: list[int],
