@@ -252,6 +252,7 @@ def exit_code(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> object:
     return ended.value.code
 
 
+@pytest.mark.thorough
 def test_the_command_line_ends_with_the_documented_codes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

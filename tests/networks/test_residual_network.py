@@ -96,6 +96,7 @@ def test_rows_that_are_judged_are_not_learned_from() -> None:
     assert all(np.array_equal(spoilt[k], a) for k, a in fitted.items())
 
 
+@pytest.mark.thorough
 def test_rows_drawn_one_by_one_are_labelled_as_the_papers_protocol() -> None:
     part = np.random.default_rng(0).choice([TRAINING, VALIDATION, TEST], len(known()))
     torn = unfitted().fit(with_part(known(), part), nominal())
@@ -106,6 +107,7 @@ def test_rows_drawn_one_by_one_are_labelled_as_the_papers_protocol() -> None:
     assert "brought their torque" not in " ".join(model().notes_)
 
 
+@pytest.mark.thorough
 def test_a_fitted_model_can_be_corrected() -> None:
     base = estimator("rigid-wls", sign_width=0.02).fit(known(), nominal())
     fitted = unfitted(base=None).fit_on(base, known(), nominal(), refit=False)
