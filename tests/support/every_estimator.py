@@ -64,10 +64,10 @@ CASES: Mapping[str, Case] = {
     "rigid-diffnea": Case({"friction": "coulomb-viscous"}),
     "rigid-diffnea stribeck": Case({"friction": "stribeck"}, thorough=True),
     # The path is the integral of the velocity for one, differences of positions for the other.
-    "rigid-diffnea memory": Case({"friction": "memory"}, 0.1, thorough=True),
+    "rigid-diffnea memory": Case({"friction": "memory"}, 1e-3, thorough=True),
     # A prediction filters friction as the effort was, a stream does not.
-    "rigid-hysteresis": Case({"friction": ("load", "speed p", "memory 30"), **FIXED}, 0.5),
-    "rigid-hysteresis full": Case({}, 0.5, thorough=True),
+    "rigid-hysteresis": Case({"friction": ("load", "speed p", "memory 30"), **FIXED}, 0.1),
+    "rigid-hysteresis full": Case({}, 0.1, thorough=True),
     "static-wls": Case(),
     "static-wls paper": Case({"form": "paper"}),
     "static-wls current": Case({"form": "paper", "current_term": True}, None),
@@ -89,7 +89,7 @@ CASES: Mapping[str, Case] = {
         None,
     ),
     "lagrangian": Case(LAGRANGIAN, SINGLE),
-    "lagrangian memory": Case({**LAGRANGIAN, "direction": "dahl"}, 0.1),
+    "lagrangian memory": Case({**LAGRANGIAN, "direction": "dahl"}, 2e-3),
     "lagrangian dissipative": Case({**LAGRANGIAN, "friction": "dissipative"}, SINGLE),
     "lagrangian coulomb": Case({**LAGRANGIAN, "friction": "coulomb"}, SINGLE, thorough=True),
     "lagrangian unconstrained": Case(
