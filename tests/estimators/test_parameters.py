@@ -151,6 +151,8 @@ IMPOSSIBLE = [
         {"friction_settings": {"speed_bounds": [0.1, 0.2]}},
         "settings: start_speed is 0.08",
     ),
+    ("lagrangian", {"friction_settings": {"speed_bounds": [0.1]}}, "the lowest and the highest"),
+    ("residual", {"network": {"dilations": []}}, "a list of at least one number"),
     ("lagrangian", {"friction_settings": ["offset"]}, r"friction_settings is \['offset'\]"),
     (
         "lagrangian",
