@@ -194,10 +194,10 @@ def test_a_model_predicts_what_it_predicted(name: str, shared: Path) -> None:
     golden = np.load(shared / "golden/predictions.npz")
     seen = load_source(run_of(shared, ESTIMATORS[name]))
     predicted = load_model_file(shared / "models" / name).predict(seen)
-    rows = golden[f"{name}/rows"]
-    np.testing.assert_allclose(
-        predicted.effort[rows], golden[f"{name}/effort"], rtol=1e-6, atol=1e-9
-    )
+    rows, effort = golden[f"{name}/rows"], golden[f"{name}/effort"]
+    # Networks add in single precision, each processor in an order of its own.
+    atol = 1e-6 * np.abs(effort).max()
+    np.testing.assert_allclose(predicted.effort[rows], effort, rtol=1e-6, atol=atol)
     assert np.array_equal(predicted.valid[rows], golden[f"{name}/valid"])
     parts = {key.rpartition("/")[2] for key in golden.files if key.startswith(f"{name}/part/")}
     assert set(predicted.components) == parts
