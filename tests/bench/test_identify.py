@@ -33,12 +33,14 @@ def test_wls_of_one_trajectory_is_the_published_baseline(quick) -> None:
     assert quick["figures"]["ur10e_wls_raw_a"] == pytest.approx(0.1485, rel=0.005)
 
 
+@pytest.mark.thorough
 @pytest.mark.data
 @recorded("ur10e")
 def test_load_is_weighed_without_having_been_weighed(quick) -> None:
     assert quick["figures"]["load_wls_controller_mass_kg"] == pytest.approx(2.805, rel=0.05)
 
 
+@pytest.mark.thorough
 @pytest.mark.data
 @recorded("ur10e")
 def test_tables_fit_a_hundred_columns(quick) -> None:

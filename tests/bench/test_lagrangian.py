@@ -27,6 +27,7 @@ def speed(monkeypatch):
         del sys.modules[name]
 
 
+@pytest.mark.thorough
 def test_everybody_computes_the_same_gradient_of_the_weights(speed) -> None:
     rows, told = speed.motion(5), {}
     everybody = speed.contestants()

@@ -187,6 +187,7 @@ def test_nothing_is_better_than_knowing_all_but_the_noise(quick) -> None:
     assert figures["seed1_ours_below"] > 0.5
 
 
+@pytest.mark.thorough
 def test_ours_knows_the_robot_by_its_parts(quick) -> None:
     assert quick["figures"]["seed1_ours_mass_error"] < 0.1
     assert quick["figures"]["seed1_ours_friction_nm"] < 0.5

@@ -49,6 +49,7 @@ def test_gains_of_the_mock_are_found(run: Path) -> None:
     assert (document["poses"], document["both_sides"]) == (8, True)
 
 
+@pytest.mark.thorough
 def test_people_are_told_gains_reasons_and_lines_to_copy(run: Path) -> None:
     text = told(run)
     assert "loads of 0, 3 kg at 8 poses" in text
@@ -56,6 +57,7 @@ def test_people_are_told_gains_reasons_and_lines_to_copy(run: Path) -> None:
     assert "\ndrive_gains_nm_a: [10.150, " in text
 
 
+@pytest.mark.thorough
 def test_a_run_with_one_load_is_refused(run: Path, tmp_path: Path) -> None:
     from tests.support.report_runs import dwell_plan, write_run
 

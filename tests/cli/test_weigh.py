@@ -84,6 +84,7 @@ def test_the_tool_that_hangs_there_is_weighed_not_the_declared_one(
     assert found["payload"]["inertia_kgm2"] == [None] * 6
 
 
+@pytest.mark.thorough
 def test_the_bare_flange_as_tare_makes_it_sharp(weighed: Weighed) -> None:
     plain, tared = (
         json.loads(told(weighed.static, weighed.tool, "--json", *more))["parameters"][:4]
@@ -95,6 +96,7 @@ def test_the_bare_flange_as_tare_makes_it_sharp(weighed: Weighed) -> None:
         assert sharp["std_error"] < 0.75 * rough["std_error"]
 
 
+@pytest.mark.thorough
 def test_gains_that_are_known_well_narrow_the_mass(weighed: Weighed) -> None:
     arguments = (weighed.static, weighed.tool, "--bare", weighed.bare, "--json")
     usual, calibrated = (
@@ -104,6 +106,7 @@ def test_gains_that_are_known_well_narrow_the_mass(weighed: Weighed) -> None:
     assert calibrated < 0.8 * usual
 
 
+@pytest.mark.thorough
 def test_people_are_told_what_shows_and_what_does_not(weighed: Weighed) -> None:
     text = told(weighed.static, weighed.tool)
     assert "load weighed at rest, at 6 poses" in text
@@ -117,6 +120,7 @@ def test_people_are_told_what_shows_and_what_does_not(weighed: Weighed) -> None:
     assert "inertia_kgm2" not in tared
 
 
+@pytest.mark.thorough
 def test_a_bare_flange_shows_no_load(weighed: Weighed) -> None:
     text = told(weighed.static, weighed.bare)
     assert "no load shows" in text
@@ -124,6 +128,7 @@ def test_a_bare_flange_shows_no_load(weighed: Weighed) -> None:
     assert "--payload" not in text
 
 
+@pytest.mark.thorough
 def test_what_cannot_be_a_tare_is_named(weighed: Weighed) -> None:
     with pytest.raises(DataError, match="is the bare flange as well"):
         told(weighed.static, weighed.tool, "--bare", weighed.tool)
@@ -133,6 +138,7 @@ def test_what_cannot_be_a_tare_is_named(weighed: Weighed) -> None:
         told(weighed.static, weighed.tool, "--bare", weighed.motion)
 
 
+@pytest.mark.thorough
 def test_friction_is_checked_whatever_was_recorded(weighed: Weighed) -> None:
     with pytest.raises(SpecError, match="friction is 'banana'"):
         told(weighed.static, weighed.tool, "--friction", "banana")
@@ -140,11 +146,13 @@ def test_friction_is_checked_whatever_was_recorded(weighed: Weighed) -> None:
         told(weighed.static, weighed.tool, "--friction", "scale")
 
 
+@pytest.mark.thorough
 def test_a_file_that_is_not_there_is_no_run(weighed: Weighed) -> None:
     with pytest.raises(DataError, match=r"nope\.mcap does not exist"):
         told(weighed.static, "nope.mcap")
 
 
+@pytest.mark.thorough
 def test_another_individual_is_said_first_and_gives_nothing_to_paste(weighed: Weighed) -> None:
     with patch("hil.evaluation.validation.serial_of", lambda source: "another"):
         text = told(weighed.static, weighed.tool, "--bare", weighed.bare)
@@ -153,6 +161,7 @@ def test_another_individual_is_said_first_and_gives_nothing_to_paste(weighed: We
     assert not any("--payload" in line for line in others)
 
 
+@pytest.mark.thorough
 def test_a_tare_does_not_go_with_motion(weighed: Weighed) -> None:
     with pytest.raises(SpecError, match="this is motion"):
         told(weighed.rigid, weighed.motion, "--bare", weighed.bare)

@@ -152,6 +152,7 @@ def test_a_load_of_the_calibration_counts(model, calibration) -> None:
     assert np.all(found.level < 2.0 * CollisionThresholds.of(model).level)
 
 
+@pytest.mark.thorough
 def test_few_motions_promise_little(model, calibration) -> None:
     with pytest.raises(FitError, match="6 motions") as caught:
         CollisionThresholds.calibrated(model, calibration, false_alarms=0.05)
@@ -196,6 +197,7 @@ def test_an_arm_that_rests_between_moves_alarms_nobody(model) -> None:
     assert told(CollisionDetector(model, thresholds=bare), data)[0]
 
 
+@pytest.mark.thorough
 def test_settings_that_cannot_be_are_refused(model, thresholds, calibration) -> None:
     with pytest.raises(SpecError, match="quantile"):
         CollisionThresholds.of(model, quantile=0.0)

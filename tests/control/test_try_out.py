@@ -141,6 +141,7 @@ def test_tracking_ends_safely_when_the_arm_strays() -> None:
     assert np.isnan(run.rms).all()
 
 
+@pytest.mark.thorough
 def test_the_model_ahead_is_the_torque_the_true_arm_takes() -> None:
     asked = reference()
     gains = np.array([joint.drive.gain_nm_a for joint in draw_truth("ur5", 5).joints])
@@ -197,6 +198,7 @@ def test_the_model_tracks_better_and_relieves_the_hand(trial) -> None:
     assert not any(run.stopped for run in (*made.tracked, *made.led))
 
 
+@pytest.mark.thorough
 def test_the_page_and_the_tables_can_be_shown(trial) -> None:
     made, told, page, out = trial
     assert faults_of(told) == []
@@ -208,6 +210,7 @@ def test_the_page_and_the_tables_can_be_shown(trial) -> None:
     assert document["serial"] == made.serial == "arm-full-5"
 
 
+@pytest.mark.thorough
 def test_an_arm_that_never_rests_is_no_success(trial) -> None:
     made = trial[0]
     restless = replace(made.led[2], rest_s=float("inf"))
@@ -217,6 +220,7 @@ def test_an_arm_that_never_rests_is_no_success(trial) -> None:
     assert not worse.ok
 
 
+@pytest.mark.thorough
 def test_a_braked_run_is_said_and_has_no_figures(trial) -> None:
     made = trial[0]
     braked = replace(made.tracked[-1], stopped="J2 was 20° off at 1.00 s")
@@ -227,6 +231,7 @@ def test_a_braked_run_is_said_and_has_no_figures(trial) -> None:
     assert faults_of(found(worse)) == []
 
 
+@pytest.mark.thorough
 def test_a_braked_run_without_the_model_does_not_speak_against_it(trial) -> None:
     made = trial[0]
     braked = replace(made.tracked[0], stopped="J2 was 20° off at 1.00 s")

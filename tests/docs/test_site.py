@@ -55,6 +55,7 @@ def test_every_page_is_in_the_navigation(site: Path) -> None:
     assert {path.relative_to(site).as_posix() for path in made - linked} == set()
 
 
+@pytest.mark.thorough
 def test_a_readme_is_a_page_of_its_section_and_not_the_section(site: Path) -> None:
     home = re.sub(r"\s+", " ", (site / "index.html").read_text("utf-8"))
     for path, title in (("experiments", "Ready experiments"), ("decisions", "Decision records")):
@@ -63,6 +64,7 @@ def test_a_readme_is_a_page_of_its_section_and_not_the_section(site: Path) -> No
         )
 
 
+@pytest.mark.thorough
 def test_links_lead_to_files_of_the_site(site: Path) -> None:
     broken = []
     for path, text in pages(site):
@@ -74,6 +76,7 @@ def test_links_lead_to_files_of_the_site(site: Path) -> None:
     assert broken == []
 
 
+@pytest.mark.thorough
 def test_files_out_of_docs_are_pages(site: Path) -> None:
     page = (site / "how-to" / "load-sweep.html").read_text("utf-8")
     assert 'href="../experiments/load_generalisation.yaml.html"' in page
@@ -81,6 +84,7 @@ def test_files_out_of_docs_are_pages(site: Path) -> None:
     assert "load-generalisation" in re.sub("<[^>]+>", "", shown)
 
 
+@pytest.mark.thorough
 def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
     assert [
         (path.name, found) for path, text in pages(site) for found in LOADED.findall(text)

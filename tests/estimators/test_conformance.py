@@ -71,6 +71,7 @@ def test_every_registered_estimator_has_a_case() -> None:
 # Predictions
 
 
+@pytest.mark.thorough
 @every_case
 def test_it_predicts_every_row_and_joint_in_the_unit_that_it_was_fitted_to(case: str) -> None:
     model, data = fitted(case), new(case)
@@ -568,6 +569,7 @@ def test_joints_that_never_move_are_named(case: str, stands: list[int]) -> None:
     assert "never moved" in error.message
 
 
+@pytest.mark.thorough
 @each_estimator
 def test_another_kind_of_series_is_no_data(case: str) -> None:
     if case == "rigid-diffnea":

@@ -195,6 +195,7 @@ def test_a_peak_at_low_speed_is_fitted_down_to_the_noise() -> None:
     assert np.sqrt(np.mean(error**2)) < 1.03 * 0.05
 
 
+@pytest.mark.thorough
 def test_true_shapes_lie_within_three_standard_errors() -> None:
     data = stribeck(noisy(), 0.08, 1.3)
     found = RigidDiffnea(friction="stribeck").fit(data, nominal())

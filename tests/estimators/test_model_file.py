@@ -128,6 +128,7 @@ def test_a_model_knows_the_loads_it_was_fitted_with(tmp_path: Path) -> None:
     assert training.payloads == (mounted,)
 
 
+@pytest.mark.thorough
 def test_a_whole_number_that_a_file_has_with_a_point_is_read(tmp_path: Path) -> None:
     folder = save_model(fitted("lagrangian"), tmp_path / "model")
     parameters = json.loads((folder / "model.json").read_text())["parameters"]

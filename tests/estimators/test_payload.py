@@ -79,6 +79,7 @@ def model() -> RigidWls:
     return bare()
 
 
+@pytest.mark.thorough
 def test_a_load_in_mujoco_is_found() -> None:
     mujoco = pytest.importorskip("mujoco")
     t, q, qd, qdd = fourier(5, 500)
@@ -101,6 +102,7 @@ def test_a_load_in_mujoco_is_found() -> None:
     )
 
 
+@pytest.mark.thorough
 def test_what_the_motion_tells_is_called_determined() -> None:
     found = estimate_payload(model(), under_load(5, 6, 7))
     assert np.all(np.abs(found.values - true_values(LOAD)) < 4 * found.std_error)
@@ -122,6 +124,7 @@ def test_friction_that_grows_with_the_load_is_asked_of_the_model() -> None:
     )
 
 
+@pytest.mark.thorough
 def test_an_offset_of_another_day_can_be_freed() -> None:
     data = under_load(5, 6)
     shift = np.array([0.2, 0.5, -0.4, 0.2, 0.1, -0.1])
@@ -133,6 +136,7 @@ def test_an_offset_of_another_day_can_be_freed() -> None:
     assert abs(kept.payload.com[0] - LOAD.com[0]) > 3 * abs(freed.payload.com[0] - LOAD.com[0])
 
 
+@pytest.mark.thorough
 def test_a_recording_frees_no_more_than_it_needs() -> None:
     data = under_load(5)
     shifted = {name: data[name] + 0.3 for name in ("effort", "effort_f")}
@@ -271,6 +275,7 @@ def test_the_nearest_body_is_that_of_a_semidefinite_program(seed: int, spread: f
     assert np.linalg.eigvalsh(pseudo_inertia(ours))[0] > 0
 
 
+@pytest.mark.thorough
 def test_errors_of_gains_widen_the_intervals_that_know_of_them() -> None:
     found = estimate_payload(model(), under_load(5, 6, 7))
     aware, in_torques = found.with_gains(0.05), replace(found, unit="N·m").with_gains(0.05)
@@ -461,6 +466,7 @@ def kinds(seed: int, wrong: int, mistake: Callable[[Payload], Payload]) -> list[
     return [[finding.kind for finding in one.findings] for one in checked]
 
 
+@pytest.mark.thorough
 @few_or_all
 def test_correct_declarations_agree(seeds: range) -> None:
     for seed in seeds:
@@ -525,6 +531,7 @@ def test_a_load_that_was_forgotten_is_named_by_its_mass() -> None:
     assert kinds(100, 1, lambda _: Payload()) == [[], ["mass"], []]
 
 
+@pytest.mark.thorough
 def test_a_load_that_nobody_mounted_is_named_by_its_mass() -> None:
     mounted = (OFF_AXIS[0], Payload(), OFF_AXIS[2])
     checked = check_declarations(OFF_AXIS, estimates(100, mounted))
@@ -549,6 +556,7 @@ def test_other_loads_tell_the_gains() -> None:
     assert by_others < 0.3 * by_itself
 
 
+@pytest.mark.thorough
 def test_the_angle_of_a_load_on_the_axis_cannot_be_observed() -> None:
     on = check_declarations(ON_AXIS, estimates(100, ON_AXIS))
     off = check_declarations(OFF_AXIS, estimates(100))

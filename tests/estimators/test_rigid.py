@@ -80,6 +80,7 @@ def test_torque_data_are_fitted_and_predicted_in_newton_metres() -> None:
     )
 
 
+@pytest.mark.thorough
 def test_weighting_helps_the_quiet_joints() -> None:
     data = moving(*TRAIN)
     loud = np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02])
@@ -291,6 +292,7 @@ def test_ridge_needs_trajectories_to_leave_out_or_a_penalty() -> None:
     assert model.alpha_ == 1e-6
 
 
+@pytest.mark.thorough
 def test_a_penalty_and_noise_in_columns_tell_no_intervals() -> None:
     assert np.all(np.isnan(classical(2).interval()))
     assert np.all(np.isnan(classical(3).interval()))
@@ -320,6 +322,7 @@ def test_a_fit_uses_every_fourth_row_and_predicts_all_of_them(name) -> None:
     assert np.sqrt(np.mean(difference**2, axis=0)) == pytest.approx(0.0, abs=0.02)
 
 
+@pytest.mark.thorough
 def test_standard_errors_do_not_grow_with_rows_that_said_nothing_new() -> None:
     data = raw(moving(1, 2, 3))
     noise = np.random.default_rng(0).normal(scale=0.1, size=data["effort"].shape)
@@ -334,6 +337,7 @@ def test_a_fit_says_when_its_rows_are_too_few_for_its_filters() -> None:
         estimator("rigid-wls", filters={"rate_hz": 10.0}).fit(raw(moving(1, 2)), nominal())
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("filters", [{}, {"unit": "hz", "velocity": 10, "effort": 3}])
 def test_columns_of_fewer_rows_are_rows_of_the_same_columns(filters) -> None:
     data = raw(moving(1, 2))

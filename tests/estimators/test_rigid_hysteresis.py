@@ -69,6 +69,7 @@ def test_a_new_trajectory_is_predicted_near_the_noise(fitted, train, held_out) -
     assert np.mean(ours) < 1.5 * NOISE_A
 
 
+@pytest.mark.thorough
 def test_a_joint_at_rest_holds_what_friction_it_stopped_with(fitted, held_out) -> None:
     still = np.all(held_out["qd"] == 0.0, axis=1)
     assert 150 < still.sum() < 250
@@ -76,6 +77,7 @@ def test_a_joint_at_rest_holds_what_friction_it_stopped_with(fitted, held_out) -
     assert np.mean(np.sqrt(np.mean(error**2, axis=0))) < 2.5 * NOISE_A
 
 
+@pytest.mark.thorough
 def test_links_can_exist_and_mass_matrices_are_positive_definite(fitted) -> None:
     bodies, rotors = np.split(fitted.inertial_, [60])
     assert np.all(is_consistent(bodies.reshape(6, 10)))
@@ -125,6 +127,7 @@ def test_prediction_is_the_stream_through_the_filter_of_the_effort(quick, held_o
     assert np.all(np.std(error, axis=0) < 0.03 * np.std(parts["friction"], axis=0))
 
 
+@pytest.mark.thorough
 def test_stream_remembers_the_way_and_time_does_not_wear_it(quick) -> None:
     q, still = np.zeros(6), np.zeros(6)
 
@@ -139,6 +142,7 @@ def test_stream_remembers_the_way_and_time_does_not_wear_it(quick) -> None:
     assert np.all(there > after(-0.05, 1) + 0.05)
 
 
+@pytest.mark.thorough
 def test_stream_under_a_load_carries_it(quick) -> None:
     q, still = np.full(6, 0.7), np.zeros(6)
     more = quick.stream(LOAD).step(q, still, still) - quick.stream().step(q, still, still)
@@ -146,6 +150,7 @@ def test_stream_under_a_load_carries_it(quick) -> None:
     assert more * GAINS == pytest.approx(loaded[0], abs=1e-9)
 
 
+@pytest.mark.thorough
 def test_a_declared_load_changes_friction_through_the_gears(quick) -> None:
     loaded = remembering(9, load=LOAD, noise_a=0.0)
     aware = quick.predict(loaded)
@@ -155,6 +160,7 @@ def test_a_declared_load_changes_friction_through_the_gears(quick) -> None:
     assert np.all(error[1:3] < 0.9 * blind[1:3])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "damage",
     [
@@ -302,6 +308,7 @@ def test_a_tool_that_was_not_declared_is_told_or_does_no_harm() -> None:
     assert error < 1.2 * least or any("load" in note for note in tight.notes_)
 
 
+@pytest.mark.thorough
 def test_links_that_had_to_be_as_heavy_as_they_may_be_are_told() -> None:
     tool = Payload(15.0, (0.0, 0.0, 0.1))
     data = Dataset.concatenate([undeclared(remembering(i, load=tool)) for i in (1, 2)])
@@ -353,6 +360,7 @@ def warmed():
     )
 
 
+@pytest.mark.thorough
 def test_without_temperatures_those_of_the_training_are_taken(warmed) -> None:
     test = warming(remembering(9), 41.0, 46.0)
     cold = replace(test, columns={k: v for k, v in test.columns.items() if k != "temperature"})
@@ -361,6 +369,7 @@ def test_without_temperatures_those_of_the_training_are_taken(warmed) -> None:
     assert np.max(np.abs(assumed - known)) < 0.4 * np.max(np.abs(at_30 - known))
 
 
+@pytest.mark.thorough
 def test_a_gap_in_the_temperatures_is_no_jump(warmed) -> None:
     test = warming(remembering(9), 41.0, 46.0)
     celsius = test["temperature"].copy()

@@ -87,6 +87,7 @@ def test_a_model_may_say_its_friction_itself() -> None:
     assert dry_friction(Sticky().fit(dwelling(80), nominal())) == pytest.approx(np.arange(6.0))
 
 
+@pytest.mark.thorough
 def test_friction_with_memory_has_gravity_and_no_one_level_of_dry_friction() -> None:
     fast = {"friction": ("core",), "fit_shapes": False, "consistent": False}
     model = RigidHysteresis(**fast).fit(moving(1, 2, 3), nominal())

@@ -95,11 +95,13 @@ def test_parts_are_gravity_offset_and_friction_with_the_sign_of_the_approach() -
     assert sum(found.components.values()) == pytest.approx(found.effort)
 
 
+@pytest.mark.thorough
 def test_the_approach_is_taken_from_the_motion_not_from_the_plan(dwells, coulomb) -> None:
     unplanned = replace(dwells, conditions=tuple(replace(c, approach=0) for c in dwells.conditions))
     assert np.array_equal(coulomb.predict(unplanned).effort, coulomb.predict(dwells).effort)
 
 
+@pytest.mark.thorough
 def test_hysteresis_beats_the_sign_where_joints_slide_back(coulomb, hysteresis) -> None:
     test = held_out()
     assert np.all(error(hysteresis, test) < 0.2 * error(coulomb, test))
@@ -120,6 +122,7 @@ def test_memory_that_does_not_help_on_new_poses_is_left_out_and_told() -> None:
     assert model.predict(data).effort == pytest.approx(plain.predict(data).effort, abs=1e-12)
 
 
+@pytest.mark.thorough
 def test_a_path_that_is_infinite_is_refused(dwells) -> None:
     paths = np.array(dwells.arrivals)
     paths[3, 0, 0, 1] = np.inf
@@ -127,6 +130,7 @@ def test_a_path_that_is_infinite_is_refused(dwells) -> None:
         StaticHysteresis().fit(replace(dwells, arrivals=paths), nominal())
 
 
+@pytest.mark.thorough
 def test_hysteresis_gives_its_dry_friction_as_what_a_joint_slides_with(hysteresis) -> None:
     assert hysteresis.dry_friction() == pytest.approx(COULOMB, rel=0.2)
 
@@ -164,6 +168,7 @@ def test_the_deviation_told_covers_new_poses_after_training_on_few() -> None:
     assert np.mean(np.abs(left) < 1.96) > 0.9
 
 
+@pytest.mark.thorough
 def test_a_joint_without_load_has_no_terms_of_load(hysteresis) -> None:
     shoulder = [n for n in hysteresis.parameter_names_ if n.startswith("shoulder_pan_joint.")]
     assert "shoulder_pan_joint.memory1" in shoulder
@@ -181,6 +186,7 @@ def test_the_gain_of_one_joint_is_fixed_and_those_of_the_others_are_found() -> N
     assert gain[2] == pytest.approx(0.04, abs=0.005)
 
 
+@pytest.mark.thorough
 def test_without_temperatures_the_rest_of_the_friction_is_predicted(dwells) -> None:
     def cold(data):
         return replace(data, columns={n: v for n, v in data.columns.items() if n != "temperature"})
@@ -192,6 +198,7 @@ def test_without_temperatures_the_rest_of_the_friction_is_predicted(dwells) -> N
     assert np.array_equal(model.predict(cold(test)).effort, model.predict(test).effort)
 
 
+@pytest.mark.thorough
 def test_friction_falls_as_joints_get_warm(hysteresis) -> None:
     test = held_out()
     warm = test.with_columns(temperature=test["temperature"] + 5.0)
@@ -202,6 +209,7 @@ def test_friction_falls_as_joints_get_warm(hysteresis) -> None:
     assert np.median(ratio) == pytest.approx(0.95, abs=0.01)
 
 
+@pytest.mark.thorough
 def test_temperatures_that_hardly_changed_in_training_are_no_input(dwells) -> None:
     drift = np.repeat(np.linspace(31.2, 31.4, 200), 10)[:, None] * np.ones(6)
     drifting = dwells.with_columns(temperature=drift)
@@ -227,6 +235,7 @@ def test_the_correction_takes_up_what_stopping_one_joint_does_to_another() -> No
     assert np.all(without.penalty_ == np.empty(0))
 
 
+@pytest.mark.thorough
 def test_dwells_without_a_temperature_are_predicted_at_the_usual_one(hysteresis) -> None:
     test = held_out()
     unknown = test.with_columns(temperature=np.full_like(test["q"], np.nan))
@@ -262,6 +271,7 @@ def motion_into(data, number):
     return where + np.concatenate([far, path, np.zeros((20, 6))])
 
 
+@pytest.mark.thorough
 def test_a_stream_gives_for_a_dwell_what_predict_gives() -> None:
     training = arriving(40)
     slow = StaticHysteresis().fit(
@@ -280,12 +290,14 @@ def test_a_stream_gives_for_a_dwell_what_predict_gives() -> None:
         assert np.max(np.abs(expected - still_moving)) > 0.1
 
 
+@pytest.mark.thorough
 def test_a_stream_takes_poses_that_jump(hysteresis) -> None:
     stream = hysteresis.stream()
     told = [stream.step(np.full(6, 0.3 * k), STILL, STILL) for k in range(4) for _ in range(20)]
     assert np.isfinite(told).all()
 
 
+@pytest.mark.thorough
 def test_dwells_of_unknown_approach_are_predicted_without_friction_and_not_valid(coulomb) -> None:
     test = held_out()
     arrivals = np.array(test.arrivals)
@@ -300,6 +312,7 @@ def test_dwells_of_unknown_approach_are_predicted_without_friction_and_not_valid
     assert np.all(nobody.components["friction"] == 0.0)
 
 
+@pytest.mark.thorough
 def test_motions_are_not_valid(coulomb) -> None:
     test = held_out()
     moves = replace(test, conditions=tuple(replace(c, kind="move") for c in test.conditions))
@@ -309,6 +322,7 @@ def test_motions_are_not_valid(coulomb) -> None:
     assert np.all(np.isfinite(found.effort))
 
 
+@pytest.mark.thorough
 def test_dwells_of_unknown_approach_are_left_out_of_the_fit_and_told(dwells) -> None:
     arrivals = np.array(dwells.arrivals)
     arrivals[:7, :, :, 4] = np.nan
@@ -327,6 +341,7 @@ def test_data_without_the_motion_before_the_dwells_are_refused() -> None:
         assert "record the moves" in refused.value.hint
 
 
+@pytest.mark.thorough
 def test_a_joint_that_never_moved_is_named(dwells) -> None:
     arrivals = np.array(dwells.arrivals)
     arrivals[:, :, :, 3] = np.nan
@@ -334,6 +349,7 @@ def test_a_joint_that_never_moved_is_named(dwells) -> None:
         StaticHysteresis().fit(replace(dwells, arrivals=arrivals), nominal())
 
 
+@pytest.mark.thorough
 def test_poses_that_do_not_excite_gravity_are_refused(dwells) -> None:
     alike = dwells.with_columns(q=np.full_like(dwells["q"], 0.3))
     with pytest.raises(FitError, match="least determined"):

@@ -54,6 +54,7 @@ def test_told_of_the_load_a_model_errs_far_less() -> None:
     assert max(mean["declared"], mean["identified"]) < 0.5 * mean["unaware"]
 
 
+@pytest.mark.thorough
 def test_told_as_declared_it_errs_as_the_validation_says() -> None:
     errors = evaluate(model(), loaded()).total.rmse_filtered
     assert found().rmse["declared"] == pytest.approx(errors)
@@ -153,6 +154,7 @@ def test_a_load_that_does_not_show_leaves_the_other_errors(
     assert "not identified: the load did not settle" in capsys.readouterr().out
 
 
+@pytest.mark.thorough
 def test_the_terminal_shows_three_errors_and_the_verdict(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

@@ -102,6 +102,7 @@ def test_a_line_lasts_a_whole_number_of_command_periods(line: Line) -> None:
     assert len(line.sample(RATE)) == round(periods)
 
 
+@pytest.mark.thorough
 @relaxed
 @given(lines().filter(moving))
 def test_a_line_is_ruckigs_own_straight_line_stretched_by_less_than_a_period(line: Line) -> None:

@@ -266,6 +266,7 @@ def test_limits_and_clearance_hold_on_a_grid_ten_times_denser(plan: Plan) -> Non
         assert np.abs(dense.qdd[-1]).max() < 1e-9
 
 
+@pytest.mark.thorough
 def test_torques_with_the_load_stay_below_their_share(plan: Plan) -> None:
     model = model_from_arm(ARM)
     frame = model.frames[model.getFrameId("flange")]
@@ -279,11 +280,13 @@ def test_torques_with_the_load_stay_below_their_share(plan: Plan) -> None:
         assert np.all(largest <= TORQUE * ARM.effort_max * (1 + 1e-3))
 
 
+@pytest.mark.thorough
 def test_the_second_complements_the_first(plan: Plan) -> None:
     first, second = series_of(plan)
     assert condition(first, second) < 0.8 * min(condition(first), condition(second))
 
 
+@pytest.mark.thorough
 def test_a_plan_holds_its_trajectories_and_needs_no_cache(
     plan: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:

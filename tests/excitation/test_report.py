@@ -68,6 +68,7 @@ def shown(*arguments: str) -> str:
     return done.stdout
 
 
+@pytest.mark.thorough
 def test_jerk_is_the_derivative_of_the_acceleration() -> None:
     rng = np.random.default_rng(0)
     a, b = (tuple(map(tuple, rows)) for rows in rng.standard_normal((2, 3, 4)))
@@ -94,6 +95,7 @@ def test_condition_numbers_are_those_of_pinocchios_regressor(report: ExcitationR
     assert jointly.condition_scaled == pytest.approx(scaled, rel=1e-6)
 
 
+@pytest.mark.thorough
 def test_standard_errors_are_those_of_least_squares() -> None:
     rng = np.random.default_rng(1)
     W = rng.standard_normal((200, 4)) * [1.0, 3.0, 0.2, 10.0]
@@ -104,6 +106,7 @@ def test_standard_errors_are_those_of_least_squares() -> None:
     assert information.condition_scaled == pytest.approx(np.linalg.cond(W / lengths))
 
 
+@pytest.mark.thorough
 def test_torque_margins_are_those_of_pinocchio(report: ExcitationReport) -> None:
     arm = load_arm("ur5")
     model = model_from_arm(arm)
@@ -116,6 +119,7 @@ def test_torque_margins_are_those_of_pinocchio(report: ExcitationReport) -> None
     np.testing.assert_allclose(report.appraisal.margins["effort_nm"], left, atol=1e-6)
 
 
+@pytest.mark.thorough
 def test_optimised_trajectories_tell_more_than_random_draws(report: ExcitationReport) -> None:
     assert report.random is not None
     ours, theirs = (np.linalg.slogdet(each.jointly.triangle)[1] for each in both(report))
@@ -153,6 +157,7 @@ def test_json_holds_the_motions_and_every_margin(optimised: Path, tmp_path: Path
     assert Path(told["page"]).is_file()
 
 
+@pytest.mark.thorough
 def test_the_page_shows_every_trajectory_under_its_limits(report: ExcitationReport) -> None:
     page = excitation_page(report)
     assert (page.badge.text, page.badge.mark) == ("within all limits", "pass")
@@ -167,6 +172,7 @@ def test_the_page_shows_every_trajectory_under_its_limits(report: ExcitationRepo
             assert "limit" in [curve.name for curve in panel.curves]
 
 
+@pytest.mark.thorough
 def test_the_page_says_when_a_limit_is_exceeded(report: ExcitationReport) -> None:
     limits = report.appraisal.limits._replace(velocity=0.5 * report.appraisal.limits.velocity)
     page = excitation_page(replace(report, appraisal=replace(report.appraisal, limits=limits)))
@@ -182,6 +188,7 @@ def test_random_draws_are_appraised_without_comparison(cache: Path, tmp_path: Pa
     assert "standard errors" not in text
 
 
+@pytest.mark.thorough
 def test_a_dwell_program_is_sent_elsewhere(tmp_path: Path) -> None:
     spec = tmp_path / "dwell.yaml"
     spec.write_text("hil: 1\nname: d\nrobot: ur5\nexcitation: {kind: dwell}\n", "utf-8")

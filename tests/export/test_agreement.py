@@ -21,6 +21,7 @@ from hil.export.program import program_of
 from tests.support.export_models import fitted
 
 
+@pytest.mark.thorough
 def test_golden_motions_turn_round_and_rest() -> None:
     golden = golden_of(fitted("rigid-wls"))
     assert np.all(golden.qd.min(axis=0) < 0)

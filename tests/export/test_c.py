@@ -106,6 +106,7 @@ def test_docs_name_the_functions_of_math_h_that_a_program_calls(program) -> None
         assert "tanh" not in called
 
 
+@pytest.mark.thorough
 def test_only_coupled_motors_have_a_coupling() -> None:
     T = program_of(fitted(COUPLED)).coupling
     assert T is not None

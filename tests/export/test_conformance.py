@@ -256,6 +256,7 @@ def test_a_chain_has_the_numbers_of_its_part_of_the_model(kind, to, exported) ->
     assert off_by(onnxruntime_says(told.out.read_bytes())(q), expected) < 1e-5
 
 
+@pytest.mark.thorough
 @exports()
 def test_a_result_says_what_was_written_and_how_well_it_agrees(kind, to, exported) -> None:
     model, told, folder = exported(kind, to)

@@ -40,6 +40,7 @@ def matching(word: str, folder: Path) -> list[str]:
     return [str(f.relative_to(folder)) for f in folder.glob(word)] if "/*" in word else [word]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", [name for name in COMMANDS if name not in SLOW])
 def test_a_document_has_all_its_keys(
     name: str, documents: dict[str, tuple[int, str]], unpacked: Path

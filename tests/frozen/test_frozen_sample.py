@@ -203,7 +203,7 @@ def test_a_model_predicts_what_it_predicted(name: str, shared: Path) -> None:
     assert set(predicted.components) == parts
     for part in parts:
         np.testing.assert_allclose(
-            predicted.components[part][rows], golden[f"{name}/part/{part}"], rtol=1e-6, atol=1e-9
+            predicted.components[part][rows], golden[f"{name}/part/{part}"], rtol=1e-6, atol=atol
         )
 
 

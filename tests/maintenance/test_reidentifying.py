@@ -169,6 +169,7 @@ def test_the_first_model_is_champion_without_a_probe(robot: Robot) -> None:
     assert events(robot) == [("registered", 1), ("challenger", 1), ("promoted", 1)]
 
 
+@pytest.mark.thorough
 def test_a_quiet_probe_starts_nothing(robot: Robot) -> None:
     robot.due(0)
     told = robot.due(1)
@@ -209,6 +210,7 @@ def test_a_change_is_identified_and_the_challenger_promoted(robot: Robot) -> Non
     assert robot.registry.aliases("ur5").champion == 2
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("drifted")
 def test_a_change_is_only_told_where_it_shall_not_start_a_campaign(robot: Robot) -> None:
     robot.due(0)
@@ -282,6 +284,7 @@ def test_a_probe_is_held_against_the_champion_of_its_occasions_beginning(robot: 
     assert robot.due(2)["drift"]["champion"] == 2
 
 
+@pytest.mark.thorough
 def test_the_first_one_does_not_take_the_place_of_another_first_one(robot: Robot) -> None:
     (other,) = (robot.recorded["short campaign"] / "fit").iterdir()
 
@@ -311,6 +314,7 @@ def test_a_challenger_that_errs_more_on_held_out_data_is_never_promoted(robot: R
     assert told["errors"]["after"] == told["errors"]["before"]
 
 
+@pytest.mark.thorough
 def test_the_first_model_has_to_meet_the_criteria(robot: Robot, missed: Run) -> None:
     robot.recorded = robot.recorded | {"campaign": missed("campaign")}
     told = robot.due(0)
@@ -321,6 +325,7 @@ def test_the_first_model_has_to_meet_the_criteria(robot: Robot, missed: Run) -> 
     assert robot.registry.aliases("ur5").champion == 0
 
 
+@pytest.mark.thorough
 def test_a_challenger_that_misses_the_criteria_is_not_compared(robot: Robot, missed: Run) -> None:
     robot.due(0)
     robot.recorded = robot.recorded | {"worn campaign": missed("worn campaign")}
@@ -329,6 +334,7 @@ def test_a_challenger_that_misses_the_criteria_is_not_compared(robot: Robot, mis
     assert "criteria" in told["text"]
 
 
+@pytest.mark.thorough
 def test_without_its_model_a_campaign_says_why(robot: Robot, tmp_path: Path, recorded) -> None:
     import shutil
 

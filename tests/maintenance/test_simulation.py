@@ -73,6 +73,7 @@ def test_what_changes_is_seen_and_the_robot_identified_again(lived: Lived) -> No
     assert Registry(lived.folder / "registry").aliases("ur5").champion == 2
 
 
+@pytest.mark.thorough
 def test_everything_is_in_one_folder_and_the_clock_is_that_of_the_weeks(lived: Lived) -> None:
     names = sorted(path.name for path in lived.folder.iterdir())
     assert names == ["registry", "report.html", "runs", "simulation.json", "state"]
@@ -88,6 +89,7 @@ def test_everything_is_in_one_folder_and_the_clock_is_that_of_the_weeks(lived: L
     assert timedelta(seconds=20) < took[1] < took[0] < took[2] < timedelta(minutes=5)
 
 
+@pytest.mark.thorough
 def test_every_run_has_the_weather_of_its_occasion_and_noise_of_its_own(lived: Lived) -> None:
     stations = [
         json.loads((run / "station.yaml").read_text("utf-8").partition("\n")[2])
@@ -102,6 +104,7 @@ def test_every_run_has_the_weather_of_its_occasion_and_noise_of_its_own(lived: L
     assert ["temperature_c" in each for each in options] == [False] * 4 + [True], "still warm"
 
 
+@pytest.mark.thorough
 def test_conditions_are_drawn_for_the_occasion_and_not_in_passing(lived: Lived) -> None:
     weeks = [Occasion(BEGIN + timedelta(weeks=week), "probe") for week in (2, 0, 1)]
     met = {each: conditions(lived.spec, BEGIN, each) for each in weeks}
@@ -111,6 +114,7 @@ def test_conditions_are_drawn_for_the_occasion_and_not_in_passing(lived: Lived) 
     assert [met[each].wear for each in weeks[1:]] == [(), ()]
 
 
+@pytest.mark.thorough
 def test_two_occasions_of_a_day_have_noise_of_their_own(lived: Lived) -> None:
     due = [Occasion(BEGIN + timedelta(hours=hours), "campaign") for hours in (0, 12)]
     days = [noise_day(lived.spec, BEGIN, each, stage) for each in due for stage in STAGES]
@@ -118,18 +122,21 @@ def test_two_occasions_of_a_day_have_noise_of_their_own(lived: Lived) -> None:
     assert noise_day(lived.spec, BEGIN, due[1], "campaign") == days[4]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("days", "wear"), [(7, ()), (8, (1.0, 1.6, 1.0, 1.0, 1.0, 1.0))])
 def test_wear_holds_from_its_moment_on(lived: Lived, days: int, wear: tuple[float, ...]) -> None:
     at = Occasion(BEGIN + timedelta(days=days), "probe")
     assert conditions(lived.spec, BEGIN, at).wear == wear
 
 
+@pytest.mark.thorough
 def test_an_arm_that_does_not_warm_up_has_no_friction_by_warmth(lived: Lived) -> None:
     warmth = lived.told["warmth"]
     assert warmth["all"]["friction_change"] == pytest.approx([0.0] * 6, abs=1e-12)
     assert warmth["all"]["from_c"] != warmth["all"]["to_c"], "the room is another every week"
 
 
+@pytest.mark.thorough
 def test_the_page_shows_the_weeks(lived: Lived) -> None:
     page = simulation_page(lived.folder)
     criteria = page.sections[0].blocks[0]

@@ -123,6 +123,7 @@ def test_a_worker_that_sees_no_run_is_sent_the_samples_and_finds_the_same_bits(
     assert counts == [0, 2]
 
 
+@pytest.mark.thorough
 def test_another_run_at_the_same_path_is_not_taken_for_it(runs: list[Path]) -> None:
     assert fit_at(runs[0], "another", HOW) is None
     assert fit_at(runs[0].with_name("gone"), "another", HOW) is None
@@ -150,6 +151,7 @@ def test_what_a_dead_process_took_along_is_computed_again(tmp_path: Path) -> Non
     assert spread_over_processes(tasks, 2, lambda done: None, lambda i: None) == [2, 42, 6]
 
 
+@pytest.mark.thorough
 def test_a_fit_that_always_kills_its_process_leaves_the_others_alone(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -185,6 +187,7 @@ def test_a_run_that_was_deleted_leaves_the_others_alone(
     assert [one.robot for one in store_fits([gone, runs[1]], found, tmp_path)] == ["c", "b"]
 
 
+@pytest.mark.thorough
 def test_a_model_is_judged_as_its_run_has_judged_it(
     runs: list[Path], results: list[FitResult]
 ) -> None:
@@ -211,6 +214,7 @@ def test_a_first_model_becomes_champion_the_next_its_challenger(
     assert (other.registered, other.role) == ("v2", "challenger")
 
 
+@pytest.mark.thorough
 def test_the_model_stored_last_is_that_of_the_survey(runs: list[Path], tmp_path: Path) -> None:
     fleet: Any = SimpleNamespace(models=tmp_path)
     for name in ("first-1", "other-1", "first-1"):
@@ -219,6 +223,7 @@ def test_the_model_stored_last_is_that_of_the_survey(runs: list[Path], tmp_path:
         time.sleep(0.02)  # file systems tell no shorter times apart
 
 
+@pytest.mark.thorough
 def test_a_name_that_cannot_be_registered_costs_no_other_robot(
     runs: list[Path], tmp_path: Path
 ) -> None:
@@ -233,6 +238,7 @@ def test_a_name_that_cannot_be_registered_costs_no_other_robot(
     assert [one["registered"] for one in found] == [None, "v1"]
 
 
+@pytest.mark.thorough
 def test_what_misses_its_criteria_or_its_runs_becomes_neither(
     runs: list[Path], results: list[FitResult], tmp_path: Path
 ) -> None:
@@ -248,6 +254,7 @@ def test_what_misses_its_criteria_or_its_runs_becomes_neither(
     assert registry.aliases("a").champion == registry.aliases("a").challenger == 0
 
 
+@pytest.mark.thorough
 def test_what_nobody_has_judged_becomes_no_champion(
     runs: list[Path], results: list[FitResult], tmp_path: Path
 ) -> None:
@@ -257,6 +264,7 @@ def test_what_nobody_has_judged_becomes_no_champion(
     assert registry.aliases("a").champion == 0
 
 
+@pytest.mark.thorough
 def test_criteria_that_only_a_run_judges_are_not_called_met(runs: list[Path]) -> None:
     learnt = split_of(runs[0], HOW)
     asked = learnt.accept.model_copy(update={"contradicted_loads": ContradictedLimit(max=0)})
@@ -265,6 +273,7 @@ def test_criteria_that_only_a_run_judges_are_not_called_met(runs: list[Path]) ->
     assert fit_split(replace(learnt, accept=missed), HOW).passed is False
 
 
+@pytest.mark.thorough
 def test_what_cannot_be_held_out_is_an_error_and_no_model(
     runs: list[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -277,6 +286,7 @@ def test_what_cannot_be_held_out_is_an_error_and_no_model(
     assert (found.files, found.error) == ({}, "the sides share samples")
 
 
+@pytest.mark.thorough
 def test_a_name_that_another_robot_has_is_refused(
     runs: list[Path], results: list[FitResult], tmp_path: Path
 ) -> None:

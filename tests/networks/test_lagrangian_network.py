@@ -363,6 +363,7 @@ def test_it_is_drawn_as_a_curve_without_a_band() -> None:
     assert names[1:] == ["without its viscous part", "friction of the model"]
 
 
+@pytest.mark.thorough
 def test_of_physics_whose_networks_were_all_dropped_it_is_that_of_the_physics() -> None:
     kept, qd = model(), np.linspace(-1.0, 1.0, 5)[:, None] * np.ones(6)
     assert kept.friction_curve(qd) is None

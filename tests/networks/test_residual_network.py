@@ -42,6 +42,7 @@ from hil.networks.residual_network import ResidualNetwork
 from hil.networks.training import Told
 
 
+@pytest.mark.thorough
 def test_it_lowers_the_error_on_trajectories_nobody_has_seen() -> None:
     with_network = evaluate(model(), unknown()).total.rmse_filtered
     physics = evaluate(model().base_, unknown()).total.rmse_filtered

@@ -247,6 +247,7 @@ def test_a_pose_in_a_planted_box_is_refused_by_name(tmp_path: Path) -> None:
         plan_of(ur5(boxes=[box]), excitation={"kind": "dwell", "file": str(tmp_path / "poses.csv")})
 
 
+@pytest.mark.thorough
 def test_surroundings_that_leave_no_room_are_refused() -> None:
     with pytest.raises(PlanError, match=r"only \d+ of \d+ well-spread poses keep 20 mm"):
         plan_of(ur5(boxes=[{"centre_m": [0, 0, 0.5], "size_m": [2, 2, 0.4]}]))

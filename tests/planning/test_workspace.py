@@ -123,6 +123,7 @@ def test_a_box_is_part_of_what_optimised_trajectories_are_kept_under(
     assert len(list(tmp_path.rglob("*.json"))) == 2
 
 
+@pytest.mark.thorough
 def test_planes_confine_as_the_sides_of_a_box_do() -> None:
     curtain = {"point_m": [0, 0.1, 0], "normal": [0, 1, 0], "name": "curtain"}
     plan = plan_of(interlocks=[{"kind": "workspace", "planes": [curtain]}])

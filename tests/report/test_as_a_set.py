@@ -77,6 +77,7 @@ def test_no_page_loads_anything(pages: dict[str, Page]) -> None:
         assert not any("url(" in style or "@import" in style for style in html.styles)
 
 
+@pytest.mark.thorough
 def test_every_plot_of_a_page_is_said_in_words(pages: dict[str, Page]) -> None:
     for page in pages.values():
         plots = [named for tag, named in Html(page_html(page)).tags if named.get("class") == "plot"]

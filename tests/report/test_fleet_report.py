@@ -177,6 +177,7 @@ def test_runs_of_a_fleet_are_judged_as_probes_of_its_champions(fleet: Path, tmp_
     assert [one.probe is None for one in found.robots] == [True, False]
 
 
+@pytest.mark.thorough
 def test_models_of_another_estimator_or_that_break_down_are_not_compared(
     fleet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

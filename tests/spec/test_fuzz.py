@@ -98,6 +98,7 @@ def paths_in(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
     return [path] * bool(path) + [p for k, v in children for p in paths_in(v, (*path, k))]
 
 
+@pytest.mark.thorough
 @bounded
 @given(st.sampled_from(SHIPPED), plain, st.data())
 def test_shipped_experiments_with_any_value_replaced(

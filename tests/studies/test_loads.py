@@ -73,6 +73,7 @@ def test_told_of_the_load_a_model_errs_far_less() -> None:
     assert "0 kg, rigid-wls, identified" not in mean
 
 
+@pytest.mark.thorough
 def test_every_load_has_its_bars_told_and_not() -> None:
     mean, joints = found().parts[0].figures
     assert [panel.title for panel in mean.panels] == ["rigid-wls", "rigid-wls, told of the load"]
@@ -115,6 +116,7 @@ def test_every_estimator_is_judged_under_every_load() -> None:
     assert faults_of(found_of_both()) == []
 
 
+@pytest.mark.thorough
 def test_the_first_of_several_checks_the_declarations() -> None:
     assert table(found_of_both(), "table-declarations").title.endswith("checked by rigid-wls")
     for key in ("table-declarations", "table-mass", "table-centre"):

@@ -111,12 +111,14 @@ def test_the_result_can_be_shown_and_survives_json(found: StudyResult) -> None:
     assert_figures_survive_json(found)
 
 
+@pytest.mark.thorough
 def test_both_protocols_stand_side_by_side_and_are_labelled(found: StudyResult) -> None:
     protocols = {part.title: part.protocol for part in found.parts}
     assert protocols["Honest"] == "honest"
     assert protocols["As in the paper"].startswith("paper: ")
 
 
+@pytest.mark.thorough
 def test_all_tables_and_figures_of_the_paper_are_there(found: StudyResult) -> None:
     tables = {table.key for part in found.parts for table in part.tables}
     figures = {figure.key for part in found.parts for figure in part.figures}
@@ -127,6 +129,7 @@ def test_all_tables_and_figures_of_the_paper_are_there(found: StudyResult) -> No
     }  # fmt: skip
 
 
+@pytest.mark.thorough
 def test_the_page_about_studies_lists_the_tables_and_figures_there_are(found: StudyResult) -> None:
     section = PAGE.read_text("utf-8").partition("## `static-separation`")[2].partition("\n## ")[0]
     rows = re.findall(r"^\| `((?:table|fig)-.+?) \|", section, re.MULTILINE)
@@ -135,17 +138,20 @@ def test_the_page_about_studies_lists_the_tables_and_figures_there_are(found: St
     assert listed == made
 
 
+@pytest.mark.thorough
 def test_no_panel_has_more_points_than_a_page_shows(found: StudyResult) -> None:
     for one in part(found, "As in the paper").figures + part(found, "Honest").figures:
         for panel in one.panels:
             assert sum(len(curve.y) for curve in panel.curves) <= 700
 
 
+@pytest.mark.thorough
 def test_figure_5_has_the_measured_current_and_five_methods(found: StudyResult) -> None:
     names = [curve.name for curve in figure(found, "fig-5").panels[0].curves]
     assert names == ["measured", "least squares", "ridge", "LASSO", "elastic net", "WLS"]
 
 
+@pytest.mark.thorough
 def test_table_2_is_least_squares_of_scikit_learn_on_eq_20(
     data: Dataset, found: StudyResult
 ) -> None:
@@ -158,6 +164,7 @@ def test_table_2_is_least_squares_of_scikit_learn_on_eq_20(
     assert cell(table(found, "table-2"), "least squares", "J2") == pytest.approx(expected, rel=1e-8)
 
 
+@pytest.mark.thorough
 def test_by_sample_every_pose_is_on_both_sides_and_by_pose_none(data: Dataset) -> None:
     one = one_per_pose(recording_of(data, robot()).dwells, seed=0)
     sample, pose = by_sample(one, seed=0), by_pose(one, seed=0)
@@ -166,6 +173,7 @@ def test_by_sample_every_pose_is_on_both_sides_and_by_pose_none(data: Dataset) -
     assert not set(dwell[pose.test]) & set(dwell[pose.train])
 
 
+@pytest.mark.thorough
 def test_friction_dealt_out_at_random_looks_as_good_by_sample_and_fails_by_pose(
     found: StudyResult,
 ) -> None:
@@ -176,6 +184,7 @@ def test_friction_dealt_out_at_random_looks_as_good_by_sample_and_fails_by_pose(
     assert held_out["whole poses held out"] > 5 * as_printed
 
 
+@pytest.mark.thorough
 def test_an_error_per_sample_is_never_below_the_noise_it_holds(found: StudyResult) -> None:
     four = table(found, "table-4")
     noise = np.array([cell(four, f"J{j}", "noise of a sample") for j in range(1, 7)])
@@ -183,12 +192,14 @@ def test_an_error_per_sample_is_never_below_the_noise_it_holds(found: StudyResul
     assert np.all(test > 0.9 * noise)
 
 
+@pytest.mark.thorough
 def test_one_dwell_of_every_pose_is_drawn_and_both_sides_occur(data: Dataset) -> None:
     drawn = one_per_pose(recording_of(data, robot()).dwells, seed=0).conditions
     assert len({c.pose for c in drawn}) == len(drawn) == 60
     assert {c.approach for c in drawn} == {-1, 1}
 
 
+@pytest.mark.thorough
 def test_every_dwell_is_judged_once_by_models_that_have_not_seen_its_pose(data: Dataset) -> None:
     asked = methods("gravity", "coulomb")
     protocol = HonestProtocol(
@@ -220,6 +231,7 @@ def test_no_honest_prediction_depends_on_the_current_it_is_to_predict(
     assert np.array_equal(first.effort, second.effort)
 
 
+@pytest.mark.thorough
 def test_pose_only_methods_stay_at_the_friction_and_ours_goes_far_below(
     found: StudyResult,
 ) -> None:
@@ -242,12 +254,14 @@ def test_the_band_of_both_approaches_is_the_friction_there_is() -> None:
     assert all(cell(sides, f"J{j}", "band: Fc·sign") < 1e-4 for j in range(1, 7))
 
 
+@pytest.mark.thorough
 def test_means_and_rows_are_found_again_after_a_split(data: Dataset) -> None:
     one = one_per_pose(recording_of(data, robot()).dwells, seed=0)
     parts = by_pose(one, seed=0)
     assert np.array_equal(one["effort"][rows_in(parts.training)], parts.training["effort"])
 
 
+@pytest.mark.thorough
 def test_progress_counts_every_fit_once(
     found: StudyResult, told: list[tuple[str, int, int]]
 ) -> None:

@@ -115,12 +115,14 @@ def test_a_mistake_is_told_with_what_to_do(
     assert told.value.hint
 
 
+@pytest.mark.thorough
 def test_a_model_is_registered_with_what_it_and_its_run_tell(given: Given, tmp_path: Path) -> None:
     run, _ = given
     facts = hil.registry(tmp_path / "r").register("ur5", model_of(run)).facts
     assert (facts["estimator"], facts["run"]["folder"]) == ("static-wls", str(run))
 
 
+@pytest.mark.thorough
 def test_the_same_model_twice_is_one_version(given: Given, tmp_path: Path) -> None:
     registry, model = hil.registry(tmp_path / "r"), model_of(given[0])
     first, again = (registry.register("ur5", one, {}) for one in (model, str(model)))

@@ -483,6 +483,7 @@ def test_every_estimator_is_fitted_to_the_first_load_alone(done: Any) -> None:
             assert (model.training_.rows.share_known(rows) > 0.5) == (load == 0)
 
 
+@pytest.mark.thorough
 def test_the_study_is_of_the_models_that_were_fitted(done: Any) -> None:
     (file,) = study_files(done[0].path)
     found = read_study(file)
@@ -508,6 +509,7 @@ def test_nothing_is_fitted_twice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert len(fits) == 2  # the run's own, and one for the other two motions
 
 
+@pytest.mark.thorough
 def test_the_verdict_has_a_row_for_every_model_and_one_for_the_declarations(done: Any) -> None:
     rows = verdict(done[0])["rows"]
     told = [(row["metric"], row["estimator"], row["passed"]) for row in rows]
@@ -523,6 +525,7 @@ def test_the_verdict_has_a_row_for_every_model_and_one_for_the_declarations(done
     assert "declared loads contradicted ≤ 0" in text
 
 
+@pytest.mark.thorough
 def test_whoever_watches_is_told_how_far_it_is(done: Any) -> None:
     what = [event["what"] for event in done[1] if event["kind"] == "study" and event["study"]]
     assert set(what) == {"judging rigid-wls under loads", "judging rigid-linear under loads"}

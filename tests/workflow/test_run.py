@@ -117,6 +117,7 @@ def test_a_model_that_misses_its_criteria_is_rejected(as_json: bool, tmp_path: P
         assert "hil show" in said.stderr.splitlines()[-1]
 
 
+@pytest.mark.thorough
 def test_the_shipped_experiment_with_loads_is_judged_on_what_is_new_in_both(tmp_path: Path) -> None:
     text = (EXPERIMENTS / "ur5_fourier_loads.yaml").read_text("utf-8")
     for old, new in (
@@ -156,6 +157,7 @@ def test_a_run_that_trips_keeps_its_data_and_is_not_judged(tmp_path: Path) -> No
     assert "tracking_error" in (RunDirectory.open(run).stop or {})["reason"]
 
 
+@pytest.mark.thorough
 def test_the_mock_mounts_each_load_and_the_model_knows(tmp_path: Path) -> None:
     spec = changed_spec(tmp_path, "robot: ur5", "robot: ur5\nloads: [{mass_kg: 0}, {mass_kg: 2}]")
     spec.write_text(spec.read_text("utf-8").replace("{poses_percent: 20}", "{loads: [1]}"), "utf-8")

@@ -133,6 +133,7 @@ def test_a_mount_turned_by_half_a_turn_is_found_by_its_centre_of_mass(profile: s
     assert "centre of mass at (0.030, 0.000, 0.050) m declared" in found.message
 
 
+@pytest.mark.thorough
 def test_an_honest_load_beside_the_axis_passes() -> None:
     found = weigh(off_axis(), seed=6)
     assert found.events[-1]["result"] == "passed"
