@@ -3,7 +3,7 @@
 Okabe & Ito, 'Color Universal Design' (2008): eight colours that people with every common form of
 colour blindness tell apart. Theirs are for areas; as thin lines and small marks, some are too light
 for white paper (contrast below 3:1, WCAG 2.2, 1.4.11). Those are darker here, and all of them as
-far apart as that leaves room for, which `tests/report/test_colours.py` computes. Figures never rely
+far apart as that leaves room for, which `tests/report/test_figures.py` computes. Figures never rely
 on colour alone: dashes, marks and patterns differ too.
 """
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.frozen.frozen_parts import HERE, command, entered, missing, parsed
+from tests.frozen.frozen_parts import HERE, command, compare, entered
 
 pytestmark = pytest.mark.timeout(300)  # all commands count as the set-up of the first test
 
@@ -52,11 +52,3 @@ def test_a_document_has_all_its_keys(
 @pytest.mark.parametrize("name", SLOW)
 def test_a_slow_document_has_all_its_keys(name: str, lab: Path) -> None:
     compare(name, *command(*COMMANDS[name], "--json"), lab)
-
-
-def compare(name: str, code: int, out: str, frozen: Path) -> None:
-    """Hold a document against the frozen one: keys may have been added, none may be gone."""
-    codes = json.loads((frozen / "json/exit-codes.json").read_text("utf-8"))
-    assert code == codes[name] or (name, code) == ("doctor", 1), out  # of this computer
-    old = (frozen / f"json/{name}.json").read_text("utf-8")
-    assert missing(parsed(old), parsed(out)) == []

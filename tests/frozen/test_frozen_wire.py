@@ -10,8 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.frozen.frozen_parts import command, layout, run_of, told
-from tests.frozen.test_frozen_documents import compare
+from tests.frozen.frozen_parts import command, compare, layout, run_of, told
 from tests.support.mock_servers import mock_can, mock_plc, mock_ur
 
 SCRIPTS = 30002

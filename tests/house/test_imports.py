@@ -252,6 +252,17 @@ def test_names_that_tests_import_exist() -> None:
     assert missing == []
 
 
+def test_no_test_file_imports_from_another() -> None:
+    foreign = re.compile(r"from tests\.[a-z_.0-9]*\b(test_[a-z_0-9]+) import")
+    found = [
+        f"{file.name}: {name}"
+        for file in sorted((ROOT / "tests").rglob("test_*.py"))
+        for name in foreign.findall(file.read_text("utf-8"))
+        if name != file.stem
+    ]
+    assert found == []
+
+
 # Whatever is missing is told in one sentence, with the command that brings it; tried for real
 
 
