@@ -18,24 +18,14 @@ from hil.dashboard import plan_preview, start_page
 from hil.robot import Address
 from hil.workflow.motion_confirmation import Granted
 from hil_mock_robot.embedded.robot import MockRobot
+from tests.support.confirming import AT, SPEC
 from tests.support.web_parts import dashboard, plain, require_fit_for_all
 
-SPEC = """
-hil: 1
-name: small
-robot: ur5
-excitation: {kind: dwell, waypoints: 4, seed: 3}
-warm_up: {duration_s: 2}
-loads: [{mass_kg: 1.5, com_m: [0, 0, 0.05]}]
-weigh: {poses: 0}
-accept: {gaps_percent: {max: 50}}
-"""
 STATION = """
 hil_station: 1
 robots:
   ur5: {driver: mock, model: ur5, checklist: [The emergency stop is within reach.]}
 """
-AT = "198.51.100.7"
 
 
 class Desk:
