@@ -12,7 +12,7 @@ def test_every_start_is_measured_beside_an_empty_python() -> None:
     document = measure("startup", quick=True)
     figures, ratios = document["figures"], document["ratios"]
     for name in ("import_hil", "hil_version", "hil_help", "completion"):
-        assert figures[f"{name}_ms"] > figures["python_ms"]
-        ratio = figures[f"{name}_ms"] / figures["python_ms"]
-        assert ratios[f"{name}_vs_python"] == ratio
-    assert ratios["import_hil_vs_python"] < ratios["hil_help_vs_python"]
+        for peer in ("python", "import_numpy"):  # which is quicker, three starts do not show
+            ratio = figures[f"{name}_ms"] / figures[f"{peer}_ms"]
+            assert ratios[f"{name}_vs_{peer}"] == pytest.approx(ratio)
+    assert min(figures.values()) > 1.0, figures
