@@ -19,7 +19,7 @@ PEERS = ("onnxruntime", "onnxruntime_bound", "torch")
 ONNX = all(find_spec(library) is not None for library in ("onnx", "onnxscript", "onnxruntime"))
 
 
-@pytest.mark.thorough
+@pytest.mark.proof
 @pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 def test_every_contestant_is_timed_and_agrees() -> None:
     document = measure("predict", quick=True)

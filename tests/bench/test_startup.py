@@ -7,7 +7,7 @@ import pytest
 from hil.cli.bench import measure
 
 
-@pytest.mark.thorough
+@pytest.mark.proof
 def test_every_start_is_measured_beside_an_empty_python() -> None:
     document = measure("startup", quick=True)
     figures, ratios = document["figures"], document["ratios"]

@@ -67,25 +67,6 @@ def test_the_api_appears_when_it_is_used() -> None:
         hil.frobnicate  # noqa: B018
 
 
-@pytest.mark.thorough
-def test_every_function_of_the_api_works_in_one_script(tmp_path: Path) -> None:
-    script = f"""
-import hil
-experiment = hil.load({str(EXPERIMENTS / "ci_dwell_12.yaml")!r})
-plan = hil.plan(experiment)
-first = hil.run(experiment, runs={str(tmp_path)!r})
-data = hil.dataset(first.run)
-fitted = hil.fit([first.run], estimator="static-wls", out={str(tmp_path / "m")!r})
-other = hil.run(hil.load({str(EXPERIMENTS / "ci_fourier_2.yaml")!r}), runs={str(tmp_path)!r})
-judged = hil.evaluate(fitted.fitted.folder, [other.run])
-again = hil.plan(experiment)
-assert plan.hash == again.hash
-assert len(data) and judged
-"""
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-
-
 # Imports stand at the top of a module, unless they load something heavy
 
 

@@ -277,6 +277,13 @@ UNITS = (
         "tests/bench/test_can.py",
         minutes=3,
     ),
+    _tests(
+        "benches",
+        "the benchmarks of starts and predictions time what they name, and its results agree",
+        "tests/bench/test_predict.py",
+        "tests/bench/test_startup.py",
+        minutes=2,
+    ),
     _bench("startup", "`hil --help` starts about as fast as an empty Python", 1),
     _bench("mcap", "MCAP is read and written faster than by the reference library", 3),
     _bench("rtde", "RTDE is read with less of a core than ur-rtde needs", 3),
