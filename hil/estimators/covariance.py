@@ -29,7 +29,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from hil.core import FloatArray, IntArray
+from hil.core import FloatArray, IntArray, student_quantile
 
 Correction = Literal["CR1", "CR2"]
 
@@ -147,11 +147,9 @@ def interval(
     Raises:
         ValueError: `level` is no share between 0 and 1.
     """
-    from scipy.stats import t
-
     if not 0.0 < level < 1.0:
         raise ValueError(f"level is {level!r}, but must be between 0 and 1")
-    reach = t.ppf(0.5 + level / 2, degrees) * std_error
+    reach = student_quantile(0.5 + level / 2, degrees) * std_error
     return np.stack([coefficients - reach, coefficients + reach], axis=1)
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.core import FloatArray, IntArray
+from hil.core import FloatArray, IntArray, fisher_tail
 from hil.dynamics import conditioning
 from hil.estimators.least_squares import upper_triangle
 
@@ -136,8 +136,6 @@ def essential_parameters(
         samples: How many independent observations there were: rows over their correlation time.
             The test is as strict as this number is honest.
     """
-    from scipy.stats import f as fisher
-
     p = X.shape[1]
     R = upper_triangle(np.column_stack([X, y]))
     degrees = max(samples - p, 1.0)
@@ -150,7 +148,7 @@ def essential_parameters(
         remaining = [k for k in left if k != candidate]
         smaller = _fit(R, remaining)
         lost = (smaller.squares - whole.squares) / (len(dropped) + 1)
-        tested = float(fisher.sf(lost / (whole.squares / degrees), len(dropped) + 1, degrees))
+        tested = fisher_tail(lost / (whole.squares / degrees), len(dropped) + 1, degrees)
         if not tested >= LEVEL:
             break
         left, fit, p_value = remaining, smaller, tested

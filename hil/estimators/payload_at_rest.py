@@ -16,10 +16,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
 from hil.arms import Payload
-from hil.core import BoolArray, DataError, FitError, FloatArray, HilError
+from hil.core import BoolArray, DataError, FitError, FloatArray, HilError, student_quantile
 from hil.data import Conditions, Dataset, dwells_of, series_means
 from hil.dynamics import GAIN_SHARE, static_columns
 from hil.estimators.base import HONEST, RobotEstimator
@@ -91,7 +90,7 @@ def _estimate(
     problem: RestProblem, phi: FloatArray, covariance: FloatArray, left: FloatArray
 ) -> PayloadEstimate:
     n, degrees = left.shape[1], left.size - STATIC
-    t = float(stats.t.ppf((1.0 + LEVEL) / 2.0, degrees))
+    t = float(student_quantile((1.0 + LEVEL) / 2.0, degrees))
     values, spread = np.full(10, np.nan), np.full((10, 10), np.nan)
     values[0], spread[0, 0] = phi[0], covariance[0, 0]
     _require_mass(phi[0], t * np.sqrt(covariance[0, 0]))

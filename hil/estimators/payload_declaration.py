@@ -22,10 +22,9 @@ from itertools import combinations
 from typing import Literal
 
 import numpy as np
-from scipy import stats
 
 from hil.arms import Payload
-from hil.core import FloatArray
+from hil.core import FloatArray, normal_quantile, student_quantile
 from hil.dynamics import GAIN_SHARE
 from hil.estimators.payload import PayloadEstimate, true_values
 
@@ -128,9 +127,9 @@ class _Case:
         self.values = estimate.values
         self.off = estimate.values - (0.0 if declared.is_empty else true_values(declared))
         tail = false_alarm / (2 * len(self.values))
-        self.reach = float(stats.norm.isf(tail))
+        self.reach = float(-normal_quantile(tail))
         # Few blocks of time know their own scatter badly: as much wider as Student's t asks.
-        wider = stats.t.isf(tail, estimate.degrees) / self.reach
+        wider = -student_quantile(tail, estimate.degrees) / self.reach
         spread = estimate.covariance * np.outer(wider, wider)
         self.covariance = spread + np.diag(floor.deviations(estimate.values[0]) ** 2)
 

@@ -29,16 +29,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import norm
-from scipy.stats import t as student
 
 from hil.core import (
     BoolArray,
     DataError,
     FloatArray,
     RegistryError,
+    normal_quantile,
     read_json,
     sha256_of,
+    student_quantile,
+    student_tail,
 )
 from hil.data import Dataset
 from hil.estimators import RobotEstimator
@@ -281,7 +282,7 @@ def chart_of(
     share = false_alarm / len(rows) / 2
     deviation, std, dof, mean, mean_std = np.array(rows).T
     p, p_mean = _p(deviation, std, dof), _p(mean, mean_std, dof)
-    limit = std * student.isf(share / 2, dof)
+    limit = std * -student_quantile(share / 2, dof)
     alarm = (p < share) | (p_mean < share)
     return Chart(deviation, std, p, p_mean, mean, limit, alarm, count)
 
@@ -352,7 +353,7 @@ def _prior(name: str, sigma: FloatArray) -> FloatArray:
 
 
 def _p(value: FloatArray, std: FloatArray, dof: FloatArray) -> FloatArray:
-    probability: FloatArray = 2.0 * student.sf(np.abs(value) / std, dof)
+    probability: FloatArray = 2.0 * student_tail(np.abs(value) / std, dof)
     return probability
 
 
@@ -404,11 +405,11 @@ def causes(probe: Features, chart: Chart, false_alarm: float, effort_unit: str) 
     jumped = bool(np.any(np.abs(chart.deviation) > chart.limit))
     left, p = (chart.deviation, chart.p) if jumped else (chart.mean, chart.p_mean)
     # The normal deviation of the same probability: features of different noise are compared by it.
-    size = norm.isf(np.maximum(p, 1e-300) / 2)
+    size = -normal_quantile(np.maximum(p, 1e-300) / 2)
     scale = np.abs(left) / np.maximum(size, np.finfo(np.float64).tiny)
     # What a cause does to other features is known as well as the model fits along the motion.
     scale = np.maximum(scale, probe.std)
-    limit = float(norm.isf(false_alarm / len(left) / 4))
+    limit = float(-normal_quantile(false_alarm / len(left) / 4))
     # A feature of a joint is a cause by itself, all features of the load are one.
     load = [k for k, name in enumerate(probe.names) if name.startswith("load ")]
     groups = [*([k] for k in range(len(left)) if k not in load), load]

@@ -17,9 +17,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import t as student
 
-from hil.core import BoolArray, FloatArray, RegistryError, Rejected, Tone, card, number
+from hil.core import (
+    BoolArray,
+    FloatArray,
+    RegistryError,
+    Rejected,
+    Tone,
+    card,
+    number,
+    student_quantile,
+)
 from hil.data import SAME_PLACE_RAD, SAME_SHARE, Dataset
 from hil.estimators import RobotEstimator
 from hil.evaluation import (
@@ -384,7 +392,11 @@ def _squared(
 def _interval(shares: FloatArray, sure: float) -> tuple[FloatArray, FloatArray]:
     """Return the mean of blocks (B, m), and half the width of its interval: (m,) each."""
     count = len(shares)
-    half = student.ppf(0.5 + sure / 2, count - 1) * np.std(shares, axis=0, ddof=1) / np.sqrt(count)
+    half = (
+        student_quantile(0.5 + sure / 2, count - 1)
+        * np.std(shares, axis=0, ddof=1)
+        / np.sqrt(count)
+    )
     return np.mean(shares, axis=0), np.asarray(half)
 
 

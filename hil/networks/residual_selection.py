@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.core import BoolArray, FloatArray, IntArray
+from hil.core import BoolArray, FloatArray, IntArray, student_quantile
 from hil.data import Dataset, group_of, groups, has_sample_split, rows_to_fit
 from hil.estimators import RobotEstimator, SpeedBands, with_prefix, without_prefix
 from hil.networks.residual_data import Motions, ResidualSettings, in_motion, trajectory_numbers
@@ -308,13 +308,11 @@ def _log_ratio(corrected: FloatArray, without: FloatArray) -> FloatArray:
 
 def _highest_mean(gains: FloatArray) -> FloatArray:
     """(n,) upper end of the interval of the mean of (B, n); infinite for a single one."""
-    from scipy.stats import t
-
     count = len(gains)
     if count < 2:
         return np.full(gains.shape[1], np.inf)
     error = np.std(gains, axis=0, ddof=1) / np.sqrt(count)
-    return np.asarray(np.mean(gains, axis=0) + t.ppf(SURE, count - 1) * error)
+    return np.asarray(np.mean(gains, axis=0) + student_quantile(SURE, count - 1) * error)
 
 
 NETWORK = "network{}."
