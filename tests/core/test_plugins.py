@@ -152,3 +152,19 @@ def test_this_distribution_registers_its_own_plugins() -> None:
         info for info in plugins.describe_all(try_loading=False) if info.name == "static-wls"
     ]
     assert static.distribution.startswith("hil ")
+
+
+def test_a_package_installed_meanwhile_is_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Entry points are read again when a folder on the path has changed."""
+    monkeypatch.syspath_prepend(tmp_path)
+    for number in (1, 2):
+        info = tmp_path / f"added_{number}-1.dist-info"
+        draft = tmp_path.parent / f"draft-{number}"
+        draft.mkdir()
+        (draft / "METADATA").write_text(f"Name: added-{number}\nVersion: 1\n", "utf-8")
+        (draft / "entry_points.txt").write_text(f"[hil.studies]\nadded-{number} = a:b\n", "utf-8")
+        assert f"added-{number}" not in plugins.names("hil.studies")
+        draft.rename(info)
+        assert f"added-{number}" in plugins.names("hil.studies")
