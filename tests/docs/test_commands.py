@@ -20,6 +20,7 @@ SCRIPTS = (
     "tests/house/test_lab_scripts.py runs the scripts on the mock, proofs execute the notebooks"
 )
 HARDWARE = "needs a robot, or recordings, of the reader's own"
+ELSEWHERE = "docs/tutorial/first-real-ur5.md has the same command, which is run there"
 LONG = "minutes to hours, or a cluster: proofs with the same experiments do it"
 BEGUN = "goes on with what is under way: tests of runs, registry and fleets do it"
 INSTALLS = "writes into the environment or the shell of who calls it"
@@ -29,7 +30,7 @@ NOT_RUN = {
     "docs/explanation/past-one-machine.md": {LONG: 1},
     "docs/gallery.md": {LONG: 15, SERVES: 1},
     "docs/how-to/calibrate-drive-gains.md": {HARDWARE: 1},
-    "docs/how-to/drive-a-ur.md": {SERVES: 1, HARDWARE: 5},
+    "docs/how-to/drive-a-ur.md": {SERVES: 1, ELSEWHERE: 1, HARDWARE: 5},
     "docs/how-to/drive-can-drives.md": {SERVES: 3, HARDWARE: 1},
     "docs/how-to/drive-twincat.md": {SERVES: 5},
     "docs/how-to/export-onnx-mlp.md": {LONG: 1},

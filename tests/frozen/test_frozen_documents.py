@@ -48,7 +48,7 @@ def test_a_document_has_all_its_keys(
     compare(name, *documents[name], unpacked)
 
 
-@pytest.mark.wire
+@pytest.mark.proof
 @pytest.mark.parametrize("name", SLOW)
 def test_a_slow_document_has_all_its_keys(name: str, lab: Path) -> None:
     compare(name, *command(*COMMANDS[name], "--json"), lab)

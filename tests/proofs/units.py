@@ -119,7 +119,8 @@ UNITS = (
         "hand-guiding",
         "hand guiding takes at most half the force on arms that the filter was not tuned on",
         "tests/proofs/test_hand_guiding.py",
-        minutes=3,
+        "tests/frozen/test_frozen_documents.py",
+        minutes=5,
     ),
     _tests(
         "recorder",

@@ -375,6 +375,7 @@ def test_a_library_that_connects_again_by_itself_has_nothing_left_to_command(kin
         late = [e for e in after if e["monotonic_s"] > stops[0]["monotonic_s"]]
         assert not [e for e in late if e["event"] == "start"], late
         assert max(map(abs, running.side("state")["qd_target"])) < 1e-6
+        until(lambda: running.side("state")["program"] is None)
         robot.connect()
         follow(robot, move(robot, 0.1))
 
