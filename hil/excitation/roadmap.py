@@ -56,7 +56,7 @@ class Roadmap:
         drawn = len(poses)
         if wanted is not None:
             poses = np.vstack([poses, wanted])
-        look_clear = _symmetric(self._looks_clear(poses, poses))
+        look_clear = self._seen_from_each_other(poses)
         regions = self._regions(poses, look_clear)
         most = max(_count_from(region, drawn) for region in regions)
         # The largest first; which of equal ones does not depend on anything but the poses.
@@ -125,6 +125,13 @@ class Roadmap:
         """(S, G) whether the lines between all `starts` (S, n) and `goals` (G, n) look clear."""
         s, g = np.indices((len(starts), len(goals))).reshape(2, -1)
         return self.workspace.look_clear(starts[s], goals[g]).reshape(len(starts), len(goals))
+
+    def _seen_from_each_other(self, poses: FloatArray) -> BoolArray:
+        """(N, N) whether lines between `poses` (N, n) look clear; each is looked at once."""
+        one, other = np.triu_indices(len(poses), 1)
+        looks = np.zeros((len(poses), len(poses)), dtype=bool)
+        looks[one, other] = self.workspace.look_clear(poses[one], poses[other])
+        return _symmetric(looks)
 
     def _regions(self, poses: FloatArray, open_: BoolArray) -> list[IntArray]:
         """Return the indices of the poses in each connected region, each connection checked.
