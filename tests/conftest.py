@@ -55,3 +55,11 @@ def fourier_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from tests.support.recorded import once, run_in, trajectories_in
 
     return run_in(once(tmp_path_factory, "trajectories", trajectories_in))
+
+
+@pytest.fixture
+def plans_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Take plans that an earlier test has made: for tests of what is done with a plan."""
+    from tests.support.plans_once import share_plans
+
+    share_plans(monkeypatch)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -60,6 +61,8 @@ from tests.support.confirming import (
 from tests.support.fleet_parts import SPEC as MEMBER
 from tests.support.pipeline_parts import CAMPAIGN, PROBE, SCHEDULE, write_schedule
 
+pytestmark = pytest.mark.usefixtures("plans_once")
+
 # A real robot moves only when its motion was confirmed; mocks and loopback ask nothing
 
 
@@ -79,6 +82,29 @@ def real(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
 
     at(AT)
     return at
+
+
+@pytest.fixture(scope="module")
+def cut_off(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The run of a real robot that was stopped after its first measurements; stays as it is."""
+    folder = tmp_path_factory.mktemp("cut-off")
+    (folder / "small.yaml").write_text(SPEC, "utf-8")
+    (folder / "station.yaml").write_text(STATION, "utf-8")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(MockRobot, "address", Address(AT))
+        return stopped(hil.load(folder / "small.yaml"), patch, Granted("--yes")).run
+
+
+@pytest.fixture
+def begun(cut_off: Path, tmp_path: Path) -> Path:
+    """A copy of that run, to go on with."""
+    return shutil.copytree(cut_off, tmp_path / "runs" / "small" / "ur5" / cut_off.name)
+
+
+def content(path: Path) -> dict[str, Any]:
+    """Return the JSON document of a file."""
+    out: dict[str, Any] = json.loads(path.read_text("utf-8"))
+    return out
 
 
 def test_a_real_robot_is_not_even_connected_to_when_nobody_can_confirm(
@@ -108,11 +134,12 @@ def test_what_a_driver_says_once_it_is_connected_takes_no_confirmation_back(
 
 
 @pytest.mark.thorough
-def test_its_name_moves_it_and_what_was_shown_is_recorded(
+def test_its_name_moves_it_and_what_was_shown_is_recorded_and_executed(
     real: object, experiment: hil.Experiment
 ) -> None:
     console = FakeConsole(None, "ur5")
-    answer = document(run(experiment, TypedName(console, "anna")))["confirmation"]
+    report = run(experiment, TypedName(console, "anna"))
+    answer = document(report)["confirmation"]
     shown, facts = "\n".join(console.shown), answer["facts"]
     assert (answer["how"], answer["by"]) == ("typed", "anna")
     assert answer["digest"] == digest_of(facts)
@@ -122,18 +149,10 @@ def test_its_name_moves_it_and_what_was_shown_is_recorded(
     for said in (AT, "1.5 kg at (0, 0, 50) mm", "wrist_3_joint", "elbow", "Nobody is near."):
         assert said in shown
     assert console.shown[-1].startswith("type ur5 to move")
-
-
-@pytest.mark.thorough
-def test_the_space_that_was_shown_is_that_of_the_plan_that_is_executed(
-    real: object, experiment: hil.Experiment
-) -> None:
-    report = run(experiment, TypedName(FakeConsole("ur5")))
-    plan = Plan.from_dict(document(report, "plan.json"))
-    facts = document(report)["confirmation"]["facts"]
-    assert facts["swept"]["duration_s"] == plan.duration_s
-    assert [j["min_rad"] for j in facts["swept"]["joints"]] == plan.extremes.q_min.tolist()
-    assert facts["speed_rad_s"] == plan.extremes.qd_max.max()
+    executed = Plan.from_dict(document(report, "plan.json"))
+    assert facts["swept"]["duration_s"] == executed.duration_s
+    assert [j["min_rad"] for j in facts["swept"]["joints"]] == executed.extremes.q_min.tolist()
+    assert facts["speed_rad_s"] == executed.extremes.qd_max.max()
 
 
 @pytest.mark.thorough
@@ -190,9 +209,10 @@ def test_a_fault_at_the_question_is_an_error_of_the_robot(
         run(experiment, TypedName(console))
 
 
-@pytest.mark.thorough
-def test_mocks_and_loopback_are_asked_nothing(experiment: hil.Experiment) -> None:
-    assert "confirmation" not in document(run(experiment, Unconfirmed()))
+def test_mocks_and_loopback_are_asked_nothing(dwell_run: Path) -> None:
+    start = content(dwell_run / "start.json")
+    assert start["packages"]
+    assert "confirmation" not in start  # it was run where no terminal was there to ask at
 
 
 @pytest.mark.thorough
@@ -216,55 +236,47 @@ def test_another_robot_than_the_experiments_is_a_mistake_also_on_a_mock(
 
 
 @pytest.mark.thorough
-def test_a_run_that_goes_on_as_it_was_confirmed_asks_nothing(
-    real: object, experiment: hil.Experiment, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    begun = stopped(experiment, monkeypatch, Granted("--yes"))
-    resumed = hil.resume(begun.run, desk=desk(Unconfirmed()))
+def test_a_run_that_goes_on_as_it_was_confirmed_asks_nothing(real: object, begun: Path) -> None:
+    resumed = hil.resume(begun, desk=desk(Unconfirmed()))
     assert resumed.outcome == "completed"
     assert "confirmation" not in document(resumed, "resume-01.json")
 
 
 @pytest.mark.thorough
 def test_a_run_that_goes_on_at_another_address_asks_again(
-    real: Callable[[str], None], experiment: hil.Experiment, monkeypatch: pytest.MonkeyPatch
+    real: Callable[[str], None], begun: Path
 ) -> None:
-    begun = stopped(experiment, monkeypatch, Granted("--yes"))
     real(ELSEWHERE)
     with pytest.raises(NotConfirmed, match=ELSEWHERE):
-        hil.resume(begun.run, desk=desk(Unconfirmed()))
-    assert not (begun.run / "resume-01.json").exists()
-    resumed = hil.resume(begun.run, desk=desk(TypedName(FakeConsole("ur5"), "bert")))
+        hil.resume(begun, desk=desk(Unconfirmed()))
+    assert not (begun / "resume-01.json").exists()
+    resumed = hil.resume(begun, desk=desk(TypedName(FakeConsole("ur5"), "bert")))
     answer = document(resumed, "resume-01.json")["confirmation"]
     assert (answer["by"], answer["facts"]["address"]) == ("bert", ELSEWHERE)
 
 
 @pytest.mark.thorough
-def test_the_newest_confirmation_counts(
-    real: Callable[[str], None], experiment: hil.Experiment, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    begun = stopped(experiment, monkeypatch, Granted("--yes"))
-    resume = {"confirmation": {"facts": document(begun)["confirmation"]["facts"]}}
+def test_the_newest_confirmation_counts(real: Callable[[str], None], begun: Path) -> None:
+    resume = {"confirmation": {"facts": content(begun / "start.json")["confirmation"]["facts"]}}
     resume["confirmation"]["facts"]["address"] = ELSEWHERE
-    (begun.run / "resume-01.json").write_text(json.dumps(resume))
+    (begun / "resume-01.json").write_text(json.dumps(resume))
     with pytest.raises(NotConfirmed):
-        hil.resume(begun.run, desk=desk(Unconfirmed()))
+        hil.resume(begun, desk=desk(Unconfirmed()))
     real(ELSEWHERE)
-    assert hil.resume(begun.run, desk=desk(Unconfirmed())).outcome == "completed"
+    assert hil.resume(begun, desk=desk(Unconfirmed())).outcome == "completed"
 
 
 @pytest.mark.thorough
 def test_a_run_that_goes_on_with_an_arm_that_was_jogged_asks_again(
-    real: object, experiment: hil.Experiment, monkeypatch: pytest.MonkeyPatch
+    real: object, begun: Path
 ) -> None:
-    begun = stopped(experiment, monkeypatch, Granted("--yes"))
-    jogged(begun.run)
+    jogged(begun)
     with pytest.raises(NotConfirmed, match=r"not as confirmed before: shoulder_pan.* goes") as no:
-        hil.resume(begun.run)
+        hil.resume(begun)
     assert "robot='ur5'" in no.value.hint
-    assert not (begun.run / "resume-01.json").exists()
+    assert not (begun / "resume-01.json").exists()
     console = FakeConsole("ur5")
-    resumed = hil.resume(begun.run, desk=desk(TypedName(console)))
+    resumed = hil.resume(begun, desk=desk(TypedName(console)))
     assert any("not as confirmed" in line for line in console.shown)
     facts = document(resumed, "resume-01.json")["confirmation"]["facts"]
     assert facts["swept"]["joints"][0]["min_rad"] == pytest.approx(np.radians(-150))
@@ -275,9 +287,9 @@ def test_what_is_armed_goes_on_with_an_arm_that_was_jogged(
     real: object, experiment: hil.Experiment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     armed = Granted("armed", "anna", {"robot": "ur5", "address": AT})
-    begun = stopped(experiment, monkeypatch, armed)
-    jogged(begun.run)
-    resumed = hil.resume(begun.run, desk=desk(armed))
+    report = stopped(experiment, monkeypatch, armed)
+    jogged(report.run)
+    resumed = hil.resume(report.run, desk=desk(armed))
     assert resumed.outcome == "completed"
     assert document(resumed, "resume-01.json")["confirmation"]["how"] == "armed"
 
@@ -285,18 +297,17 @@ def test_what_is_armed_goes_on_with_an_arm_that_was_jogged(
 @pytest.mark.thorough
 @pytest.mark.parametrize("record", ["another payload", "none"])
 def test_a_run_that_was_confirmed_for_another_payload_or_never_asks(
-    real: object, experiment: hil.Experiment, monkeypatch: pytest.MonkeyPatch, record: str
+    real: object, begun: Path, record: str
 ) -> None:
-    begun = stopped(experiment, monkeypatch, Granted("--yes"))
-    start = document(begun)
+    start = content(begun / "start.json")
     if record == "none":
         del start["confirmation"]
     else:
         start["confirmation"]["facts"]["loads"][0]["mass_kg"] = 0.5
-    (begun.run / "start.json").write_text(json.dumps(start))
+    (begun / "start.json").write_text(json.dumps(start))
     with pytest.raises(NotConfirmed):
-        hil.resume(begun.run, desk=desk(Unconfirmed()))
-    assert hil.resume(begun.run, robot="ur5").outcome == "completed"
+        hil.resume(begun, desk=desk(Unconfirmed()))
+    assert hil.resume(begun, robot="ur5").outcome == "completed"
 
 
 def joint(low: float, high: float) -> dict[str, Any]:
@@ -491,8 +502,8 @@ def types(monkeypatch: pytest.MonkeyPatch) -> Callable[..., FakeConsole]:
     return so
 
 
-def write_series(folder: Path, more: dict[str, Any]) -> None:
-    entries = [{"spec": "probe.yaml"}, {"spec": "campaign.yaml"}]
+def write_series(folder: Path, more: dict[str, Any], *specs: str) -> None:
+    entries = [{"spec": spec} for spec in specs or ("probe.yaml", "campaign.yaml")]
     document = {"hil_series": 1, "name": "both", "series": entries, **more}
     (folder / "series.yaml").write_text(json.dumps(document), "utf-8")
 
@@ -604,7 +615,10 @@ def test_what_has_changed_needs_arming_again(
     assert f"{words}; arm it again" in shown
     assert nothing_moved(folder)
     called("schedule", "arm", "weekly.yaml", "--yes")
-    called("reidentify", "weekly.yaml")
+    moves = bind_file(folder / "weekly.yaml").moves(folder / "weekly.yaml")
+    confirm = require_armed(moves, folder / "schedules" / "weekly")
+    assert confirm is not None
+    confirm.admit("ur5", AT)
 
 
 @pytest.mark.thorough
@@ -629,7 +643,7 @@ def test_mocks_need_neither_names_nor_arming(folder: Path) -> None:
     assert "needs no arming" in called("schedule", "arm", "weekly.yaml").stdout
     assert "armed" not in called("schedule", "show", "weekly.yaml").stdout
     called("reidentify", "weekly.yaml")
-    write_series(folder, {})
+    write_series(folder, {}, "probe.yaml")
     called("run", "series.yaml")
 
 
