@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import json
+import shutil
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +55,24 @@ class StopsAt:
             original(engine, step)
 
         monkeypatch.setattr(Engine, "_execute", stopping)
+
+
+_KEPT = tempfile.TemporaryDirectory(prefix="stopped-runs-")
+
+
+@functools.cache
+def _stopped_once(step: int, text: str) -> tuple[Path, Path]:
+    """Return a run that was stopped at a step, and the folder it is in; nothing changes it."""
+    home = Path(tempfile.mkdtemp(dir=_KEPT.name))
+    with pytest.MonkeyPatch.context() as patch:
+        return home, stopped_run(home, patch, step, text)
+
+
+def copy_of_stopped(folder: Path, step: int, text: str = SPEC) -> Path:
+    """Return a copy, in a folder, of the run of an unchanged mock that was stopped at a step."""
+    home, run = _stopped_once(step, text)
+    shutil.copytree(home, folder, dirs_exist_ok=True)
+    return folder / run.relative_to(home)
 
 
 def stopped_run(folder: Path, monkeypatch: pytest.MonkeyPatch, step: int, text: str = SPEC) -> Path:
