@@ -29,6 +29,8 @@ from tests.support.pipeline_parts import CAMPAIGN, PROBE
 from tests.support.recorded import DWELL
 from tests.support.web_parts import dashboard, require_fit_for_all
 
+pytestmark = pytest.mark.usefixtures("plans_once")
+
 URDF = FILES / "own_arm.urdf"
 WORST = os.fsdecode(b"d\xff \x1b[31m'\"\n\t<img src=x onerror=alert(1)>\\x41%41")
 NAMES = {
@@ -120,7 +122,7 @@ VERBS = {
     "recover": "{run}",
     "resume": "{run}",
     "report": "{run}",
-    "figures": "{run} --out {new}",
+    "figures": "{run} --out {new} --format svg",
     "export-data": "{run} --out {new}.csv",
     "export-data --out {new}.npz": "{run}",
     "export-data --out {new}.parquet": "{run}",
@@ -152,9 +154,15 @@ VERBS = {
 }  # fmt: skip
 
 
+DRAWN = "figures"
+"""A verb that takes seconds: it is called once, for both, as its document names what it writes."""
+
+
 @pytest.mark.thorough
-@pytest.mark.parametrize("as_json", [False, True], ids=["text", "--json"])
-@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize(
+    ("verb", "as_json"),
+    [(verb, as_json) for verb in VERBS for as_json in (False, True) if as_json or verb != DRAWN],
+)
 def test_every_verb_ends_as_it_would_with_another_name(
     verb: str, as_json: bool, places: dict[str, Path]
 ) -> None:
@@ -189,22 +197,19 @@ def test_an_arm_of_ones_own_may_stand_in_a_folder_of_any_name(tmp_path: Path) ->
     assert report.returncode == 0, report.stderr
 
 
-@pytest.fixture(params=NAMES.values(), ids=NAMES)
-def runs(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
-    """A folder of runs with one of such a name, beside one of an ordinary name."""
+@pytest.mark.thorough
+def test_the_catalogue_has_a_run_of_any_name(tmp_path: Path) -> None:
     root = tmp_path / "runs"
     write_run(root, 7)
-    write_run(root, 8, name="x").rename(root / "2026-11-20" / "ur5" / f"0008-{request.param}")
-    return root
-
-
-@pytest.mark.thorough
-def test_the_catalogue_has_a_run_of_any_name(runs: Path) -> None:
-    there = {str(path) for path in runs.glob("*/*/*")}
+    for number, name in enumerate(NAMES.values(), 10):
+        run = write_run(root, number, name="x")
+        run.rename(run.with_name(f"{number:04d}-{name}"))
+    there = {str(path) for path in root.glob("*/*/*")}
+    assert len(there) == 1 + len(NAMES)
     for query in ((), ("number>0",), ("number>0", "--rebuild")):  # read, kept, and read again
-        said = hil("runs", *query, "--runs", runs, "--json")
+        said = hil("runs", *query, "--runs", root, "--json")
         assert {one["run"] for one in said.document} == there
-        assert hil("runs", *query, "--runs", runs).stdout.count("completed") == 2
+        assert hil("runs", *query, "--runs", root).stdout.count("completed") == len(there)
 
 
 @pytest.mark.parametrize("name", NAMES.values(), ids=NAMES)
@@ -280,25 +285,27 @@ def test_every_page_of_the_dashboard_is_there_with_all_it_links_to(
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("name", NAMES.values(), ids=NAMES)
-def test_stop_is_on_every_page_beside_a_run_of_any_name(tmp_path: Path, name: str) -> None:
+def test_stop_is_on_every_page_beside_runs_of_any_name(tmp_path: Path) -> None:
     root = tmp_path / "runs"
     write_run(root, 7)
     with ExitStack() as held:
-        run = RunDirectory.create(root, "ur5", "x")
-        run.write_start({"uid": "u"})
-        odd = run.path.rename(run.path.with_name(f"0009-{name}"))
-        held.enter_context(hold_run(odd))
+        stops = []
+        for number, name in enumerate(NAMES.values(), 10):
+            run = RunDirectory.create(root, "ur5", "x")
+            run.write_start({"uid": f"u{number}"})
+            odd = run.path.rename(run.path.with_name(f"{number:04d}-{name}"))
+            held.enter_context(hold_run(odd))
+            stops.append(f"/runs/{quoted(odd.relative_to(root))}")
         client = dashboard(tmp_path)
-        where = f"/runs/{quoted(odd.relative_to(root))}"
-        for address in (*NAVIGATION, where, "/no"):
+        for address in (*NAVIGATION, *stops, "/no"):
             answer = client.get(address)
             assert answer.status_code == (404 if address == "/no" else 200), answer.text[-600:]
-            assert f'action="{where}/stop"' in answer.text
+            assert [one for one in stops if f'action="{one}/stop"' not in answer.text] == []
         crawl(client, NAVIGATION)
         told = {"csrf": client.app.state.settings.csrf}
-        answer = client.post(f"{where}/stop", data=told, headers={"accept": "application/json"})
-        assert "does not listen" in answer.json()["error"]  # found, and its process is a test
+        for where in stops:
+            answer = client.post(f"{where}/stop", data=told, headers={"accept": "application/json"})
+            assert "does not listen" in answer.json()["error"]  # found, and its process is a test
 
 
 @pytest.mark.thorough
