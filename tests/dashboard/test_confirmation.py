@@ -21,6 +21,8 @@ from hil_mock_robot.embedded.robot import MockRobot
 from tests.support.confirming import AT, SPEC
 from tests.support.web_parts import dashboard, plain, require_fit_for_all
 
+pytestmark = pytest.mark.usefixtures("plans_once")
+
 STATION = """
 hil_station: 1
 robots:
@@ -40,6 +42,7 @@ class Desk:
         self.started: list[dict[str, Any]] = []
         monkeypatch.setattr(start_page, "start_run", self._start)
         monkeypatch.setattr(plan_preview, "plan_in_process", self._plan)
+        monkeypatch.setattr(plan_preview, "PICTURES", 0)  # a drawing takes a second
 
     def _start(self, spec: Path, runs: Path, **more: Any) -> Any:
         self.started.append(more)
@@ -94,13 +97,14 @@ def test_the_form_shows_what_the_console_shows(desk: Desk) -> None:
 
 @pytest.mark.thorough
 @pytest.mark.usefixtures("real")
-@pytest.mark.parametrize("typed", ["", "UR5", "ur5e", "yes"])
-def test_without_the_name_nothing_is_started(desk: Desk, typed: str) -> None:
-    answer = desk.post("start", confirm=typed, **desk.shown())
-    assert answer.status_code == 409
-    assert "ur5 was not confirmed" in plain(answer.text)
-    assert "Type ur5 to move" in plain(answer.text)
-    assert desk.started == []
+def test_without_the_name_nothing_is_started(desk: Desk) -> None:
+    shown = desk.shown()
+    for typed in ("", "UR5", "ur5e", "yes"):
+        answer = desk.post("start", confirm=typed, **shown)
+        assert answer.status_code == 409
+        assert "ur5 was not confirmed" in plain(answer.text)
+        assert "Type ur5 to move" in plain(answer.text)
+        assert desk.started == []
 
 
 @pytest.mark.thorough

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -214,19 +215,31 @@ def at(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
     return lambda address: monkeypatch.setattr(MockRobot, "address", Address(address))
 
 
+@pytest.fixture(scope="module")
+def cut_off(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of an arm at AT that was confirmed there and stopped; nothing changes it."""
+    folder = tmp_path_factory.mktemp("cut-off")
+    (folder / "small.yaml").write_text(SPEC, "utf-8")
+    (folder / "station.yaml").write_text(STATION, "utf-8")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(MockRobot, "address", Address(AT))
+        return stopped(hil.load(folder / "small.yaml"), patch, Granted("--yes")).run
+
+
 @pytest.fixture
-def form(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at: Callable[[str], None]) -> Form:
-    """Of a run of an arm at AT, confirmed there; plans are made in this process."""
-    (tmp_path / "small.yaml").write_text(SPEC, "utf-8")
-    (tmp_path / "station.yaml").write_text(STATION, "utf-8")
+def form(
+    cut_off: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at: Callable[[str], None]
+) -> Form:
+    """Of a copy of that run; plans are made in this process."""
+    lab = cut_off.parents[3]
+    shutil.copytree(lab, tmp_path, dirs_exist_ok=True)
     at(AT)
-    begun = stopped(hil.load(tmp_path / "small.yaml"), monkeypatch, Granted("--yes"))
 
     async def planned(asked: dict[str, Any], gone: object) -> dict[str, Any]:
         return plan_preview._plan(asked)
 
     monkeypatch.setattr(plan_preview, "plan_in_process", planned)
-    return Form(begun.run, tmp_path)
+    return Form(tmp_path / cut_off.relative_to(lab), tmp_path)
 
 
 @pytest.fixture

@@ -72,6 +72,17 @@ class Desk:
 
 
 @pytest.fixture
+def planned_here(plans_once: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Plan in this process, and draw nothing: each takes a second, and neither is the point."""
+
+    async def planned(asked: dict[str, Any], gone: object) -> dict[str, Any]:
+        return plan_preview._plan(asked)
+
+    monkeypatch.setattr(plan_preview, "plan_in_process", planned)
+    monkeypatch.setattr(plan_preview, "PICTURES", 0)
+
+
+@pytest.fixture
 def desk(tmp_path: Path) -> Desk:
     return Desk(tmp_path)
 
@@ -281,6 +292,7 @@ def test_the_plan_is_drawn_and_speaks_of_no_command_line(desk: Desk) -> None:
     assert "hil run" not in answer.text
 
 
+@pytest.mark.usefixtures("planned_here")
 @pytest.mark.thorough
 def test_a_first_time_is_planned_slower_and_shorter(desk: Desk) -> None:
     whole = rows_of(desk.post(do="check").text)
@@ -349,6 +361,7 @@ def checked(html: str) -> str:
     return str(digest)
 
 
+@pytest.mark.usefixtures("planned_here")
 @pytest.mark.thorough
 def test_what_was_changed_since_it_was_checked_is_shown_anew_and_not_started(
     noting_desk: NotingDesk,
@@ -366,6 +379,7 @@ def test_what_was_changed_since_it_was_checked_is_shown_anew_and_not_started(
     assert noting_desk.post("start", checked=checked(answer.text)).headers["location"] == "/start/1"
 
 
+@pytest.mark.usefixtures("planned_here")
 @pytest.mark.thorough
 def test_what_is_as_it_was_checked_is_started(noting_desk: NotingDesk) -> None:
     digest = checked(noting_desk.post("check", speed="25%").text)
