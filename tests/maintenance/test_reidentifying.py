@@ -47,6 +47,7 @@ from hil.planning.experiment import load as load_experiment
 from hil.recording.run_directory import RunDirectory
 from hil.spec.schedule import ScheduleSpec, load_schedule_spec
 from tests.support.pipeline_parts import CAMPAIGN, PROBE, occasion, write_schedule
+from tests.support.plans_once import share_plans
 from tests.support.synthetic_motion import moving, nominal
 
 # What is done when something is due, and what never is
@@ -80,7 +81,9 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         "short campaign": with_options(few, {"day": 5}),
         "other probe": with_options(other, {"day": 6}),
     }
-    return {name: measuring.measure(one, f"weekly/{name}") for name, one in wanted.items()}
+    with pytest.MonkeyPatch.context() as patch:
+        share_plans(patch)  # a worn robot has the same ones
+        return {name: measuring.measure(one, f"weekly/{name}") for name, one in wanted.items()}
 
 
 @dataclass(slots=True)

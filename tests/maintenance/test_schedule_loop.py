@@ -30,7 +30,6 @@ from hil.maintenance.ledger import LEDGER_FILE, Ledger, Occasion, hold, open_led
 from hil.maintenance.reidentifying import Measuring
 from hil.maintenance.scheduler import Interruption, Scheduler
 from hil.planning.experiment import load as load_experiment
-from tests.support.pipeline_deaths import died, require_accounted, require_once
 from tests.support.pipeline_parts import PROBE, write_schedule
 from tests.support.schedule_killing import killed_at_random
 from tests.support.schedule_parts import (
@@ -601,22 +600,9 @@ def test_the_first_ctrl_c_stops_what_nobody_attends(tmp_path: Path) -> None:
 # kill -9 at random moments of the loop: what is due is done once, or it is said why not
 
 
-KILLS = 5
+KILLS = 2
 
 
 @pytest.mark.thorough
 def test_a_kill_loses_nothing_and_repeats_nothing(tmp_path: Path) -> None:
     killed_at_random(tmp_path, KILLS, seed=3)
-
-
-# Killed at random points, loop, pipeline and registry repeat nothing and lose nothing
-
-
-@pytest.mark.thorough
-@pytest.mark.timeout(240)
-def test_a_schedule_that_is_killed_again_and_again_does_everything_once(tmp_path: Path) -> None:
-    lives = died(tmp_path, seed=4, lives=6)
-    told = require_once(tmp_path)
-    require_accounted(tmp_path)
-    assert lives > 2
-    assert told["outcome"] == "promoted", told["text"]

@@ -20,6 +20,7 @@ from hil.models.model_registry import Registry
 from hil.report.simulation_page import found, simulation_page
 from hil.spec.schedule import ScheduleSpec, load_schedule_spec
 from tests.support.pipeline_parts import SCHEDULE, write_schedule
+from tests.support.plans_once import share_plans
 
 # Weeks of a schedule on the mock at once: the real loop and work, another clock and weather
 
@@ -54,9 +55,11 @@ def lived(tmp_path_factory: pytest.TempPathFactory) -> Lived:
     """A first champion, a quiet week, and one in which a joint has nearly twice the friction."""
     folder = tmp_path_factory.mktemp("simulation")
     path = written(folder)
-    done = CliRunner().invoke(
-        app, ["schedule", "simulate", str(path), "2w", "--runs", str(folder / "runs"), "--json"]
-    )
+    with pytest.MonkeyPatch.context() as patch:
+        share_plans(patch)  # each week has the same ones
+        done = CliRunner().invoke(
+            app, ["schedule", "simulate", str(path), "2w", "--runs", str(folder / "runs"), "--json"]
+        )
     assert done.exit_code == 0, done.output
     told = json.loads(done.stdout)
     return Lived(load_schedule_spec(path), Path(told["folder"]), told)
