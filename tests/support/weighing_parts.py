@@ -12,7 +12,6 @@ from hil.arms.payload import Payload
 from hil.core.typing import FloatArray, StructArray
 from hil.dynamics import RobotModel
 from hil.engine import Engine, RunResult
-from hil.planning.build import build_plan
 from hil.planning.plan import Plan, Step
 from hil.robot import Capabilities, state_dtype
 from hil.spec.experiment import Weigh
@@ -20,6 +19,7 @@ from hil.workflow.payload_check import PayloadCheck, Readings, gains_of, reading
 from hil_mock_robot.embedded.robot import MockRobot
 from tests.support.engine_parts import ListSink
 from tests.support.plan_parts import spec_of, ur5
+from tests.support.plans_once import planned_once
 
 UPRIGHT = (0.0, 0.0, -9.81)
 CYLINDER = {"mass_kg": 3, "com_m": [0, 0, 0.05], "inertia_kgm2": [4e-3, 4e-3, 2e-3, 0, 0, 0]}
@@ -33,7 +33,7 @@ def sweep(*loads: dict[str, Any], arm: str = "ur5", **changes: Any) -> Plan:
     """Weighing and next to nothing else: one pose per load, not warmed up."""
     facts: dict[str, Any] = {"excitation": {"kind": "dwell", "waypoints": 1}}
     spec = spec_of(loads=list(loads), **(facts | changes))
-    return build_plan(spec, ur5(arm))
+    return planned_once(spec, ur5(arm))
 
 
 def bodies(*masses: float) -> list[dict[str, Any]]:

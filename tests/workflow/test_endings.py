@@ -25,13 +25,22 @@ from hil.recording.recorder import Recorder
 from hil.recording.run_directory import RESERVE, RESERVE_BYTES, RunDirectory
 from hil.workflow import operator, recording
 from tests.support.paths import EXPERIMENTS
+from tests.support.resuming import small_spec
 
 DWELL = EXPERIMENTS / "ci_dwell_12.yaml"
+
+pytestmark = pytest.mark.usefixtures("plans_once")
+
+
+@pytest.fixture
+def small(tmp_path: Path) -> hil.Experiment:
+    """An experiment of four poses."""
+    return hil.load(small_spec(tmp_path))
 
 
 @pytest.mark.thorough
 def test_a_recording_that_cannot_be_finished_is_a_failed_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, small: hil.Experiment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     close = Recorder.close
 
@@ -40,7 +49,7 @@ def test_a_recording_that_cannot_be_finished_is_a_failed_run(
         raise RecordingError("no space left on device")
 
     monkeypatch.setattr(Recorder, "close", full)
-    report = hil.run(hil.load(DWELL), runs=tmp_path)
+    report = hil.run(small, runs=tmp_path / "runs")
     assert report.outcome == "failed"
     assert report.verdict == "not judged"
     assert isinstance(report.error, RecordingError)
@@ -50,13 +59,13 @@ def test_a_recording_that_cannot_be_finished_is_a_failed_run(
 
 @pytest.mark.thorough
 def test_a_failed_preflight_moves_nothing_and_is_kept(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, small: hil.Experiment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(*arguments: Any, **options: Any) -> None:
         raise PreflightFailed("temperature: too cold")
 
     monkeypatch.setattr(recording, "require_preflight", refuse)
-    report = hil.run(hil.load(DWELL), runs=tmp_path)
+    report = hil.run(small, runs=tmp_path / "runs")
     assert report.outcome == "failed"
     assert isinstance(report.error, PreflightFailed)
     stop = RunDirectory.open(report.run).stop
@@ -64,20 +73,20 @@ def test_a_failed_preflight_moves_nothing_and_is_kept(
     assert stop["steps_done"] == 0
 
 
-@pytest.mark.thorough
-def test_preflight_is_run_and_kept(tmp_path: Path) -> None:
-    report = hil.run(hil.load(DWELL), runs=tmp_path)
-    checks = json.loads((report.run / "preflight.json").read_text("utf-8"))["checks"]
+def test_preflight_is_run_and_kept(dwell_run: Path) -> None:
+    checks = json.loads((dwell_run / "preflight.json").read_text("utf-8"))["checks"]
     assert {"limits", "pose", "payload"} <= {check["name"] for check in checks}
 
 
 @pytest.mark.thorough
-def test_what_an_observer_broke_is_in_the_stop_document(tmp_path: Path) -> None:
+def test_what_an_observer_broke_is_in_the_stop_document(
+    tmp_path: Path, small: hil.Experiment
+) -> None:
     class Raises:
         def notify(self, event: Any) -> None:
             raise RuntimeError("plot window closed")
 
-    report = hil.run(hil.load(DWELL), runs=tmp_path, observers=[Raises()])
+    report = hil.run(small, runs=tmp_path / "runs", observers=[Raises()])
     stop = RunDirectory.open(report.run).stop
     assert stop is not None
     assert any("plot window closed" in problem for problem in stop["problems"])
@@ -85,7 +94,7 @@ def test_what_an_observer_broke_is_in_the_stop_document(tmp_path: Path) -> None:
 
 @pytest.mark.thorough
 def test_a_second_signal_during_the_stop_changes_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, small: hil.Experiment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     halt = Engine._halt
 
@@ -101,7 +110,7 @@ def test_a_second_signal_during_the_stop_changes_nothing(
         execute(self, preflight)
 
     monkeypatch.setattr(Engine, "_execute_plan", signalled)
-    report = hil.run(hil.load(DWELL), runs=tmp_path)
+    report = hil.run(small, runs=tmp_path / "runs")
     assert report.outcome == "stopped"
     assert RunDirectory.open(report.run).status == "stopped"
     assert not list(report.run.glob("recording/*.partial"))
@@ -174,7 +183,7 @@ def test_a_criterion_in_the_wrong_unit_is_refused_before_anything_moves(tmp_path
     ("module", "step"), [(recording, "write_beginning"), (recording, "open_recorder")]
 )
 def test_a_signal_before_the_motion_still_leaves_a_whole_directory(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: Any, step: str
+    tmp_path: Path, small: hil.Experiment, monkeypatch: pytest.MonkeyPatch, module: Any, step: str
 ) -> None:
     original = getattr(module, step)
 
@@ -184,22 +193,22 @@ def test_a_signal_before_the_motion_still_leaves_a_whole_directory(
         return done
 
     monkeypatch.setattr(module, step, interrupted)
-    report = hil.run(hil.load(DWELL), runs=tmp_path)
+    report = hil.run(small, runs=tmp_path / "runs")
     assert report.outcome == "stopped"
     assert not list(report.run.glob("recording/*.partial"))
 
 
 @pytest.mark.thorough
 def test_a_disk_that_fills_up_before_the_motion_leaves_a_failed_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, small: hil.Experiment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(*arguments: Any, **options: Any) -> Any:
         raise RecordingError("no space left on device")
 
     monkeypatch.setattr(recording, "open_recorder", full)
     with pytest.raises(RecordingError):
-        hil.run(hil.load(DWELL), runs=tmp_path)
-    (run,) = tmp_path.glob("*/*/*")
+        hil.run(small, runs=tmp_path / "runs")
+    (run,) = tmp_path.glob("runs/*/*/*")
     assert RunDirectory.open(run).status == "failed"
 
 
@@ -230,7 +239,7 @@ def test_a_signal_that_was_ignored_from_the_start_stays_ignored(tmp_path: Path) 
 
 
 def test_what_a_library_makes_of_an_interruption_is_still_a_stop(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, small: hil.Experiment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def interrupted(*arguments: Any, **options: Any) -> Any:
         try:
@@ -240,7 +249,7 @@ def test_what_a_library_makes_of_an_interruption_is_still_a_stop(
 
     monkeypatch.setattr(recording, "plan_for", interrupted)
     with pytest.raises(Stopped, match="SIGTERM"):
-        hil.run(hil.load(DWELL), runs=tmp_path)
+        hil.run(small, runs=tmp_path / "runs")
 
 
 # A disk that is really full: the run still says how it ended

@@ -25,11 +25,21 @@ from hil.spec.experiment import Weigh
 from hil.workflow.payload_check import all_reliable, readings_of_earlier_attempts
 from hil.workflow.running import RunReport
 from hil_mock_robot.embedded.robot import MockRobot
-from tests.support.resuming import Noted, Told, measured, plan_of, plan_of_spec, stopped_run
+from tests.support.resuming import (
+    Noted,
+    Told,
+    copy_of_stopped,
+    measured,
+    plan_of,
+    plan_of_spec,
+    stopped_run,
+)
 from tests.support.weighing_parts import CYLINDER, OFF_AXIS, Mounted, Scales, bodies, sweep, weigh
 
 # Weighing on the mock: an honest load passes on every robot, another one is found and named
 
+
+pytestmark = pytest.mark.usefixtures("plans_once")
 
 MASSES = (0.5, 1, 2, 3, 5)
 
@@ -498,10 +508,8 @@ def earlier(run: Path) -> Any:
 
 
 @pytest.mark.thorough
-def test_the_right_load_passes_and_the_run_is_completed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, plan: Plan
-) -> None:
-    run = stopped_run(tmp_path, monkeypatch, of_load(plan, 0, "dwell")[1].index, SWEEP)
+def test_the_right_load_passes_and_the_run_is_completed(tmp_path: Path, plan: Plan) -> None:
+    run = copy_of_stopped(tmp_path, of_load(plan, 0, "dwell")[1].index, SWEEP)
     told: list[dict[str, Any]] = []
     assert hil.resume(run, observers=[Noted(told)]).outcome == "completed"
     assert weighings(run) == [(0, "first"), (0, "passed"), (1, "passed")]
@@ -509,10 +517,8 @@ def test_the_right_load_passes_and_the_run_is_completed(
 
 
 @pytest.mark.thorough
-def test_a_load_left_on_is_found_and_taking_it_off_helps(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, plan: Plan
-) -> None:
-    run = stopped_run(tmp_path, monkeypatch, of_load(plan, 0, "dwell")[1].index, SWEEP)
+def test_a_load_left_on_is_found_and_taking_it_off_helps(tmp_path: Path, plan: Plan) -> None:
+    run = copy_of_stopped(tmp_path, of_load(plan, 0, "dwell")[1].index, SWEEP)
     done = measured(run)
     report = resume_with_load_left_on(run)
     assert isinstance(report.error, PreflightFailed)
@@ -524,10 +530,8 @@ def test_a_load_left_on_is_found_and_taking_it_off_helps(
 
 
 @pytest.mark.thorough
-def test_a_load_left_on_can_be_waived(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, plan: Plan
-) -> None:
-    run = stopped_run(tmp_path, monkeypatch, of_load(plan, 0, "dwell")[1].index, SWEEP)
+def test_a_load_left_on_can_be_waived(tmp_path: Path, plan: Plan) -> None:
+    run = copy_of_stopped(tmp_path, of_load(plan, 0, "dwell")[1].index, SWEEP)
     assert resume_with_load_left_on(run, waivers=WAIVED).outcome == "completed"
     assert weighings(run)[1] == (0, "waived")
 
@@ -548,7 +552,7 @@ def test_a_first_load_nothing_was_measured_with_may_be_put_right(
 def test_a_first_load_that_was_weighed_and_measured_is_not_mounted_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, plan: Plan
 ) -> None:
-    run = stopped_run(tmp_path, monkeypatch, of_load(plan, 1, "dwell")[1].index, SWEEP)
+    run = copy_of_stopped(tmp_path, of_load(plan, 1, "dwell")[1].index, SWEEP)
     assert all_reliable(earlier(run))
     told = Told(monkeypatch)
     assert hil.resume(run).outcome == "completed"
