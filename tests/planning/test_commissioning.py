@@ -13,7 +13,6 @@ from hil.arms import load_arm
 from hil.arms.payload import Payload
 from hil.core.errors import PlanError, SpecError
 from hil.excitation.motion import FourierSeries, Hold, Line
-from hil.planning.build import build_plan
 from hil.planning.commissioning import Commissioning, commissioning_of
 from hil.planning.plan import LoadStep, Plan, Step, read_plan
 from hil.planning.plan_preview import preview
@@ -21,6 +20,7 @@ from hil.planning.swept_space import swept
 from hil.recording.mcap_reader import read_topic
 from tests.support.command import hil
 from tests.support.plan_parts import spec_of, ur5
+from tests.support.plans_once import planned_once
 from tests.support.recorded import DWELL
 
 RATE_HZ = 125.0
@@ -181,7 +181,7 @@ MEASURED_WELL = {
 
 
 def built(part, start_q=None, **changes):
-    return build_plan(spec_of(**changes), ur5(), part=part, start_q=start_q)
+    return planned_once(spec_of(**changes), ur5(), part=part, start_q=start_q)
 
 
 def kinds(plan):
@@ -246,6 +246,7 @@ def test_a_commissioning_plan_is_not_blamed_for_what_only_a_fit_needs():
     assert shown.warnings == ()
 
 
+@pytest.mark.usefixtures("plans_once")
 @pytest.mark.thorough
 def test_plan_shows_exactly_what_the_run_with_the_same_options_does(tmp_path):
     options = ("--speed", "50%", "--first", "2", "--set", "excitation.seed=5")
