@@ -86,6 +86,13 @@ class Pair(NamedTuple):
         small = self.kind.startswith("static") or self.kind.endswith("sliding")
         return small and (self.outcome in REFUSALS or self.to not in ("torch", "onnx"))
 
+    @property
+    def mark(self) -> str:
+        """The tier of its tests, empty for the first one."""
+        if (self.kind, self.to) in LONGEST:
+            return "proof"
+        return "" if self.cheap else "thorough"
+
 
 def pairs() -> list[Pair]:
     head, *rows = (re.split(r"\s{2,}", line) for line in TABLE.strip().splitlines())
@@ -93,10 +100,21 @@ def pairs() -> list[Pair]:
     return [Pair(kind, *one) for kind, row in cells for one in zip(head[1:], row, strict=True)]
 
 
+LONGEST = {
+    ("lagrangian: dissipative", "onnx"),
+    ("lagrangian: stribeck dahl", "onnx"),
+    ("residual folds", "torch"),
+    ("rigid-hysteresis every group", "onnx"),
+}
+"""Pairs whose tracing takes about ten seconds. Their modules are held against the models in
+`test_torch.py`, and each kind is traced as the other target, or each target for another kind.
+"""
+
+
 def those(found: list[Pair]) -> pytest.MarkDecorator:
-    slow = pytest.mark.thorough
+    marks = {"": (), "thorough": pytest.mark.thorough, "proof": pytest.mark.proof}
     marked = [
-        pytest.param(one.kind, one.to, marks=() if one.cheap else slow, id=f"{one.kind}-{one.to}")
+        pytest.param(one.kind, one.to, marks=marks[one.mark], id=f"{one.kind}-{one.to}")
         for one in found
     ]
     return pytest.mark.parametrize(("kind", "to"), marked)
@@ -601,8 +619,13 @@ def test_targets_and_endings_that_do_not_fit_are_refused(out, to, message, hint,
 PAGE = (DOCS / "how-to" / "export-onnx-torch.md").read_text("utf-8")
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize("kind", ["rigid-wls hard on sliding", "rigid-hysteresis every group"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        pytest.param("rigid-wls hard on sliding", marks=pytest.mark.thorough),
+        pytest.param("rigid-hysteresis every group", marks=pytest.mark.proof),
+    ],
+)
 def test_the_example_for_onnx_runs(kind, exported, tmp_path, monkeypatch) -> None:
     model, told, _ = exported(kind, "onnx")
     (tmp_path / "arm.onnx").write_bytes(told.out.read_bytes())

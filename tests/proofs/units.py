@@ -183,6 +183,12 @@ UNITS = (
         minutes=25,
     ),
     _tests(
+        "tracing",
+        "models with networks and with memory stream the same efforts as ONNX and PyTorch programs",
+        "tests/export/test_conformance.py",
+        minutes=3,
+    ),
+    _tests(
         "wire",
         "drivers keep the contract of a robot over real sockets, at length",
         "tests/drivers/ur",
