@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 from hil.arms.payload import Payload
 from hil.cli.app import app
 from hil.core.errors import DataError, FitError, PluginError, SpecError
+from hil.data.dataset import Dataset
 from hil.data.splits import assert_disjoint
 from hil.estimators.payload import NAMES
 from hil.estimators.payload_declaration import Declaration
