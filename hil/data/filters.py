@@ -13,6 +13,7 @@ the *filtered* velocity over the true time stamps, filtered once more at 0.15; c
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -251,7 +252,7 @@ def zero_phase(values: FloatArray, fraction: float, order: int = 5) -> FloatArra
     Raises:
         DataError: There are too few samples for the filter's edges.
     """
-    from scipy.signal import butter, sosfiltfilt
+    from scipy.signal import sosfiltfilt
 
     needed = shortest_series(order)
     if len(values) < needed:
@@ -259,9 +260,20 @@ def zero_phase(values: FloatArray, fraction: float, order: int = 5) -> FloatArra
             f"{len(values)} samples are too few for a zero-phase filter of order {order}",
             hint=f"it needs {needed}; leave the series out or lower the order",
         )
-    sections = butter(order, fraction, output="sos")
+    # sosfiltfilt takes no array that must not be written to.
+    sections = _low_pass(order, fraction).copy()
     filtered: FloatArray = sosfiltfilt(sections, values, axis=0, padlen=needed - 1)
     return filtered
+
+
+@lru_cache(maxsize=64)
+def _low_pass(order: int, fraction: float) -> FloatArray:
+    """Return the sections of a Butterworth filter; to design one takes as long as to run it."""
+    from scipy.signal import butter
+
+    sections: FloatArray = butter(order, fraction, output="sos")
+    sections.setflags(write=False)
+    return sections
 
 
 def shortest_series(order: int) -> int:
