@@ -83,6 +83,8 @@ def _sign(curve: Curve) -> str:
 
 def has_names(curve: Curve) -> bool:
     """Return whether its x are names (or dates) and not numbers."""
+    if isinstance(curve.x, np.ndarray) and curve.x.dtype.kind in "fiu":
+        return False
     return any(isinstance(x, str) for x in curve.x)
 
 
