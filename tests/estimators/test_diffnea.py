@@ -217,14 +217,14 @@ def test_friction_that_is_not_there_sits_at_its_bound_and_is_told() -> None:
 @cache
 def remembering() -> tuple[RigidDiffnea, Dataset]:
     """Friction that comes round over 5 mrad, fitted."""
-    data = with_dahl(moving(1, 2, noise_a=0.02))
+    data = with_dahl(moving(1, 2, samples=400, noise_a=0.02))
     return RigidDiffnea(friction="memory").fit(data, nominal()), data
 
 
 @pytest.mark.thorough
 def test_reversals_with_memory_are_predicted_better_than_without() -> None:
     found, data = remembering()
-    fresh = with_dahl(moving(4))
+    fresh = with_dahl(moving(4, samples=400))
     without = RigidDiffnea(friction="stribeck").fit(data, nominal())
     errors = [np.mean((m.predict(fresh).effort - fresh["effort"]) ** 2) for m in (found, without)]
     assert errors[0] < 0.2 * errors[1]

@@ -438,7 +438,7 @@ def test_a_model_that_hardly_knows_its_arm_is_unsure() -> None:
 SEEDS = range(100, 107)
 """Arms; three loads each."""
 few_or_all = pytest.mark.parametrize(
-    "seeds", [SEEDS[:1], pytest.param(SEEDS[1:], marks=pytest.mark.thorough)], ids=["one", "others"]
+    "seeds", [SEEDS[:1], pytest.param(SEEDS[1:], marks=pytest.mark.proof)], ids=["one", "others"]
 )
 
 
@@ -466,7 +466,6 @@ def kinds(seed: int, wrong: int, mistake: Callable[[Payload], Payload]) -> list[
     return [[finding.kind for finding in one.findings] for one in checked]
 
 
-@pytest.mark.thorough
 @few_or_all
 def test_correct_declarations_agree(seeds: range) -> None:
     for seed in seeds:
@@ -544,7 +543,7 @@ def test_a_wrong_load_is_trusted_by_no_other() -> None:
     assert [one.trusted for one in checked] == [True, False, True]
 
 
-@pytest.mark.thorough
+@pytest.mark.proof
 def test_other_loads_tell_the_gains() -> None:
     errors = []
     for seed in SEEDS:

@@ -80,7 +80,7 @@ def test_published_gains_make_it_too_heavy_and_no_residual_shows_it(recording) -
     assert two.estimate.payload.mass == pytest.approx(3.07, rel=0.01)
 
 
-@pytest.mark.thorough
+@pytest.mark.proof
 def test_friction_with_memory_brings_the_loaded_arm_near_its_noise(recording) -> None:
     train = Dataset.concatenate([recording(name) for name in TRAIN])
     gained = replace(train, drive_gains=controller_gains(train).gain)

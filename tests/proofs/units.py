@@ -107,6 +107,8 @@ UNITS = (
         "loads",
         "payload and gain estimates have the errors that they state",
         "tests/proofs/test_loads.py",
+        "tests/estimators/test_payload.py",
+        "tests/estimators/test_recorded_arm.py",
         minutes=6,
     ),
     _tests(
