@@ -105,8 +105,8 @@ def test_a_place_where_no_run_can_be_is_not_blamed_on_a_full_disk(tmp_path: Path
 @pytest.mark.thorough
 def test_processes_that_create_runs_at_once_get_different_numbers(tmp_path: Path) -> None:
     context = multiprocessing.get_context("spawn")
-    with context.Pool(4) as pool:
-        numbers = pool.map(create_runs, [(tmp_path, f"p{i}", 10) for i in range(4)], chunksize=1)
+    with context.Pool(2) as pool:
+        numbers = pool.map(create_runs, [(tmp_path, f"p{i}", 20) for i in range(2)], chunksize=1)
     taken = [number for of_process in numbers for number in of_process]
     assert len(set(taken)) == 40
     assert sorted(run.number for run in run_listings(tmp_path)) == sorted(taken)
@@ -501,7 +501,7 @@ def test_the_run_that_is_damaged_here_was_whole() -> None:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", DOCUMENTS)
-@examples(8)
+@examples(4)
 @given(data=st.data())
 def test_damaged_document(name: str, data: st.DataObject) -> None:
     file = names_of(name)
@@ -529,7 +529,7 @@ def test_several_documents_damaged_or_missing(data: st.DataObject) -> None:
 
 
 @pytest.mark.thorough
-@examples(15)
+@examples(5)
 @given(data=st.data())
 def test_damaged_event_log(data: st.DataObject) -> None:
     lines = whole_run()[EVENTS].splitlines()
@@ -543,7 +543,7 @@ def test_damaged_event_log(data: st.DataObject) -> None:
 
 
 @pytest.mark.thorough
-@examples(12)
+@examples(4)
 @given(data=st.data())
 def test_damaged_spec_or_station_of_a_run(data: st.DataObject) -> None:
     import yaml
@@ -556,7 +556,7 @@ def test_damaged_spec_or_station_of_a_run(data: st.DataObject) -> None:
 
 
 @pytest.mark.thorough
-@examples(12)
+@examples(4)
 @given(data=st.data())
 def test_damaged_recording(data: st.DataObject) -> None:
     name = data.draw(st.sampled_from(["recording/00.mcap", "recording/01.mcap.partial"]))
@@ -626,7 +626,7 @@ def test_report_of_a_damaged_run(data: st.DataObject) -> None:
 
 
 @pytest.mark.thorough
-@examples(6)
+@examples(3)
 @given(data=st.data())
 def test_command_line_on_a_damaged_run(data: st.DataObject) -> None:
     file = names_of(data.draw(st.sampled_from(DOCUMENTS)))
