@@ -163,28 +163,23 @@ def test_a_fit_that_always_kills_its_process_leaves_the_others_alone(
 
 
 @pytest.mark.thorough
-def test_a_run_that_cannot_be_fitted_leaves_the_others_alone(
+def test_runs_that_cannot_be_fitted_or_were_deleted_leave_the_others_alone(
     runs: list[Path], results: list[FitResult], tmp_path: Path
 ) -> None:
     broken = tmp_path / "0009-broken"
     broken.mkdir()
-    start = json.loads((runs[0] / "start.json").read_text("utf-8")) | {"robot_name": "c"}
+    start = json.loads((runs[0] / "start.json").read_text("utf-8")) | {"robot_name": "d"}
     (broken / "start.json").write_text(json.dumps(start), "utf-8")
-    found = fit_runs([broken, runs[1]], HOW, workers=1)
-    assert "plan.json" in found[0].error
-    assert found[1].files == results[1].files
-    assert store_fits([broken], found[:1], tmp_path)[0].model is None
-
-
-@pytest.mark.thorough
-def test_a_run_that_was_deleted_leaves_the_others_alone(
-    runs: list[Path], results: list[FitResult], tmp_path: Path
-) -> None:
     gone = tmp_path / "2026-11-22" / "c" / "0001-small"
-    found = fit_runs([gone, runs[1]], HOW, workers=1)
-    assert "does not exist" in found[0].error
-    assert found[1].files == results[1].files
-    assert [one.robot for one in store_fits([gone, runs[1]], found, tmp_path)] == ["c", "b"]
+    every = [broken, gone, runs[1]]
+    found = fit_runs(every, HOW, workers=1)
+    assert "plan.json" in found[0].error
+    assert "does not exist" in found[1].error
+    assert found[2].files == results[1].files
+    stored = store_fits(every, found, tmp_path)
+    assert [(one.robot, one.model is None) for one in stored] == [
+        ("d", True), ("c", True), ("b", False),
+    ]  # fmt: skip
 
 
 @pytest.mark.thorough
@@ -209,7 +204,7 @@ def test_a_first_model_becomes_champion_the_next_its_challenger(
     (entry,) = [one for one in registry.log("a") if one.event == "promoted"]
     assert entry.evidence["evaluation"]
     assert registry.version("a").facts["run"]["folder"] == str(runs[0])
-    more = fit_runs(runs[:1], FitSettings("rigid-irls"), workers=1)
+    more = fit_runs(runs[:1], FitSettings("rigid-linear"), workers=1)
     other = register_fit(*store_fits(runs[:1], more, tmp_path), registry)
     assert (other.registered, other.role) == ("v2", "challenger")
 

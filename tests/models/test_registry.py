@@ -932,7 +932,7 @@ def test_a_repair_counts_the_lines_it_sets_aside(home: Path) -> None:
 # kill -9 at random moments, several writers at once: what was said to be done is done
 
 
-KILLS = 8
+KILLS = 3
 WRITER = FILES / "registry_writer.py"
 
 
