@@ -32,7 +32,7 @@ from hil.control.try_out import (
     unaided,
 )
 from hil.control.try_out_report import found
-from hil.control.try_out_settings import FRICTION_SHARE, HALF, RATE_HZ
+from hil.control.try_out_settings import FRICTION_SHARE, HALF
 from hil.core import plugins
 from hil.core.errors import HilError, RecordingError, Rejected, SpecError
 from hil.dynamics import load_model
@@ -376,7 +376,7 @@ def test_an_arm_comes_to_rest_behind_the_filter_alone(monkeypatch, filtered) -> 
 def test_a_trial_of_a_seed_is_no_experiment_of_that_seed() -> None:
     ours = spec_of("arm", Payload(), 7)
     theirs = ours.model_copy(update={"excitation": ours.excitation.model_copy(update={"seed": 7})})
-    plans = [build_plan(spec, bench().robot, rate_hz=RATE_HZ) for spec in (ours, theirs)]
+    plans = [build_plan(spec, bench().robot, rate_hz=100.0) for spec in (ours, theirs)]
     motions = [
         next(step.motion.sample(100.0).q for step in plan.steps if step.kind == "trajectory")
         for plan in plans
@@ -401,7 +401,7 @@ def test_joints_that_are_led_less_far_are_named() -> None:
     )
 
 
-@pytest.mark.thorough
+@pytest.mark.proof
 def test_a_hand_needs_at_most_half_of_the_effort(monkeypatch) -> None:
     """In three quarters of the time; as `hil try-out` has it in test_trial_proof.py."""
     monkeypatch.setattr(try_out, "ALONE_S", 0.0)

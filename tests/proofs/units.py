@@ -121,6 +121,7 @@ UNITS = (
         "hand-guiding",
         "hand guiding takes at most half the force on arms that the filter was not tuned on",
         "tests/proofs/test_hand_guiding.py",
+        "tests/control/test_try_out.py",
         "tests/frozen/test_frozen_documents.py",
         minutes=5,
     ),
