@@ -102,12 +102,12 @@ def test_in_steady_state_nothing_is_allocated(model) -> None:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("how", [None, False])
-@pytest.mark.parametrize("bad", [np.full(6, np.nan), np.full(6, np.inf), np.full(6, 1e7)])
-def test_what_cannot_be_is_refused_and_not_remembered(bad, how, model) -> None:
+def test_what_cannot_be_is_refused_and_not_remembered(how, model) -> None:
     predictor, twin = (Predictor(model, compiled=how) for _ in range(2))
     for k in range(20):
-        with pytest.raises(DataError, match="not finite"):
-            predictor.step(bad, QD[k], QDD[k])
+        for bad in (np.nan, np.inf, 1e7):
+            with pytest.raises(DataError, match="not finite"):
+                predictor.step(np.full(6, bad), QD[k], QDD[k])
         said = predictor.step(Q[k], QD[k], QDD[k])
         assert np.array_equal(said, twin.step(Q[k], QD[k], QDD[k]))
 

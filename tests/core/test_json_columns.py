@@ -101,8 +101,18 @@ def test_every_number_that_is_bent_is_noticed(kind: str, monkeypatch) -> None:
     physics = getattr(model, "base_", model)
     compared = comparisons(physics, document)
     differences(physics, document, compared)
+    # Two of six joints and links; the next kind has the next two.
+    joints, first = (
+        [joint["name"] for joint in document["robot"]["joints"]],
+        [*KINDS].index(kind) % 3,
+    )
+    chosen = joints[first::3]
     unnoticed = []
     for where in numbers(document):
+        if where[0] == "parameters" and document["parameters"][where[1]]["joint"] not in chosen:
+            continue
+        if where[:2] == ("links", "values") and where[2] % 3 != first:
+            continue
         bent = copy.deepcopy(document)
         *path, last = where
         inner: Any = bent
