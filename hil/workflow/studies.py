@@ -44,6 +44,7 @@ from hil.studies import (
     STUDIES,
     STUDY_FILE,
     Ended,
+    LoadValidation,
     Study,
     StudyResult,
     folder_of,
@@ -381,8 +382,6 @@ def judge_under_loads(
 def _load_validation(
     run: Path, spec: ExperimentSpec, data: Dataset, tell: Tell
 ) -> tuple[Sequence[UnderLoads], Sequence[Failed]]:
-    from hil.studies import LoadValidation
-
     entries = under_loads(run, spec)
     if not entries:
         raise FitError("there is no honest model to judge", hint=f"hil show {run}")
