@@ -14,8 +14,11 @@ WATCHED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 def pytest_configure() -> None:
     """Let programs that tests start import `tests`, and let Ctrl-C be delivered to this one.
 
-    Shells start what runs in the background with SIGINT ignored.
+    Shells start what runs in the background with SIGINT ignored. Each process has one BLAS thread,
+    as under `make`: two workers with two threads each take twice the time.
     """
+    for library in ("OMP", "OPENBLAS", "MKL"):
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     paths = [str(Path(__file__).parents[1]), *os.environ.get("PYTHONPATH", "").split(os.pathsep)]
     os.environ["PYTHONPATH"] = os.pathsep.join(dict.fromkeys(filter(None, paths)))
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
