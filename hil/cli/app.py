@@ -16,7 +16,7 @@ from typing import Annotated, Any
 import typer
 
 import hil
-from hil.cli.output import fold, width_of
+from hil.cli.output import fold, ignore_from_now_on, width_of
 from hil.cli.streams import Stream, guard_streams
 from hil.core import (
     DataError,
@@ -88,7 +88,7 @@ def main() -> None:
     except SystemExit as ending:
         sys.exit(_exit_code(ending, out))
     finally:
-        _ignore_late_signals()
+        ignore_from_now_on()
 
 
 def _one_blas_thread() -> None:
@@ -103,13 +103,6 @@ def _end_like_ctrl_c() -> None:
         number = getattr(signal, name, None)
         if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, signal.default_int_handler)
-
-
-def _ignore_late_signals() -> None:
-    """Let no signal change the exit code while the interpreter ends: the work is done."""
-    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
-        if (number := getattr(signal, name, None)) is not None:
-            signal.signal(number, signal.SIG_IGN)
 
 
 def _report(error: HilError, out: Stream | None) -> int:

@@ -23,7 +23,7 @@ from hil.cli.options import (
     YesFlag,
     waivers_of,
 )
-from hil.cli.output import fail, print_json, print_table
+from hil.cli.output import fail, ignore_from_now_on, print_json, print_table
 
 if TYPE_CHECKING:
     from hil.maintenance import Manner
@@ -131,7 +131,6 @@ def _moves(
 
 
 def _run(fleet: "FleetGroup", manner: "Manner", json: bool) -> None:
-    from hil.engine import ignore_from_now_on
     from hil.maintenance import run_fleet
 
     def tell(member: "Member", number: int, total: int) -> None:

@@ -7,7 +7,9 @@ pipe nothing is broken. Widths are asked for at each call: a terminal may change
 import contextlib
 import math
 import os
+import signal
 import sys
+import threading
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from pathlib import Path
 from textwrap import indent, wrap
@@ -16,6 +18,14 @@ from typing import Any, TextIO
 import typer
 
 from hil.core import HilError, exit_code_of, json_text, name_text
+
+
+def ignore_from_now_on() -> None:
+    """Ignore Ctrl-C and its like: the work is done; none may change its report or its exit code."""
+    if threading.current_thread() is threading.main_thread():
+        for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+            if (number := getattr(signal, name, None)) is not None:
+                signal.signal(number, signal.SIG_IGN)
 
 
 def print_json(document: Any) -> None:

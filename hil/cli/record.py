@@ -12,7 +12,7 @@ from hil.cli.options import (
     StationOption,
     parse_duration,
 )
-from hil.cli.output import fail, print_json
+from hil.cli.output import fail, ignore_from_now_on, print_json
 from hil.core import SpecError
 from hil.report import duration
 
@@ -45,7 +45,6 @@ def record(
 ) -> None:
     """Record a robot that somebody else drives; Ctrl-C ends it, too. Nothing is commanded."""
     from hil.arms import parse_payload
-    from hil.engine import ignore_from_now_on
     from hil.workflow import RecordingRequest, record_passively
 
     if until not in ("", PROGRAM_STOPS):

@@ -13,7 +13,7 @@ from hil.cli.options import (
     ScheduleArgument,
     StationOption,
 )
-from hil.cli.output import print_errors, print_json, say
+from hil.cli.output import ignore_from_now_on, print_errors, print_json, say
 
 app = typer.Typer()
 
@@ -40,7 +40,6 @@ def reidentify(
     """
     from hil import api
     from hil.cli.progress import ProgressLines
-    from hil.engine import ignore_from_now_on
 
     result = api.reidentify(
         schedule,

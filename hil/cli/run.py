@@ -31,7 +31,7 @@ from hil.cli.options import (
     refuse_set,
     waivers_of,
 )
-from hil.cli.output import fail, print_json, print_run
+from hil.cli.output import fail, ignore_from_now_on, print_json, print_run
 from hil.cli.series import rejected, resume_series, run_series
 from hil.core import SpecError
 
@@ -250,7 +250,6 @@ def run(
 ) -> None:
     """Run an experiment or a series: from plan to report."""
     from hil.core import read_source
-    from hil.engine import ignore_from_now_on
     from hil.planning import commissioning_of
     from hil.spec import is_schedule, is_series
 
@@ -293,7 +292,6 @@ def resume(
 ) -> None:
     """Go on with a run: one that ended early in a new attempt, one that is paused where it is."""
     from hil.core import is_live
-    from hil.engine import ignore_from_now_on
     from hil.recording import SeriesGroup
     from hil.runs import find_run
 

@@ -22,7 +22,7 @@ from hil.cli.options import (
     StationOption,
     parse_duration,
 )
-from hil.cli.output import fail, print_json, print_table, say
+from hil.cli.output import fail, ignore_from_now_on, print_json, print_table, say
 from hil.core import DataError, HilError, SpecError
 from hil.report import duration
 
@@ -372,7 +372,6 @@ def simulate(
 ) -> None:
     """Simulate weeks of a schedule at once on the embedded mock, with wear and changing rooms."""
     from hil.core import new_folder, read_source
-    from hil.engine import ignore_from_now_on
     from hil.maintenance import bind, require_mock
     from hil.maintenance import simulate as live_through
     from hil.recording import name_for_path

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from hil.cli.output import fail, print_json, print_run, print_table
+from hil.cli.output import fail, ignore_from_now_on, print_json, print_run, print_table
 from hil.core import HilError, Rejected
 
 if TYPE_CHECKING:
@@ -143,7 +143,6 @@ def _with_studies(run: Path, before: Document) -> Outcome:
 
 
 def _run(series: Series, group: SeriesGroup, execute: Execute, json: bool) -> None:
-    from hil.engine import ignore_from_now_on
     from hil.workflow import run_series
 
     number = {each.spec.name: i for i, each in enumerate(series.experiments, 1)}

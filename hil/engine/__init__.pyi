@@ -33,7 +33,6 @@ from .reading import Sink as Sink
 from .signals import WATCHED as WATCHED
 from .signals import SignalWatch as SignalWatch
 from .signals import StopSignal as StopSignal
-from .signals import ignore_from_now_on as ignore_from_now_on
 from .standing import ENDING as ENDING
 from .standing import MOST as MOST
 from .standing import PAUSED as PAUSED

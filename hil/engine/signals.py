@@ -116,13 +116,6 @@ class SignalWatch:
         return self._attended and number == signal.SIGINT and can and not again
 
 
-def ignore_from_now_on() -> None:
-    """Ignore the watched signals: the work is done, and a late one must not spoil its report."""
-    if threading.current_thread() is threading.main_thread():
-        for number in WATCHED:
-            signal.signal(number, signal.SIG_IGN)
-
-
 _leaving = threading.Event()
 
 
