@@ -96,6 +96,6 @@ def test_what_there_is_is_listed_where_nothing_is_alike() -> None:
 
 def test_long_words_of_many_take_no_time() -> None:
     names = [f"{i:04d}-weekly-identification-of-the-welding-robot-left" for i in range(500)]
-    began = time.perf_counter()
+    began = time.process_time()
     closest("weekly-identification-of-the-wleding-robot-left-or-right", names)
-    assert time.perf_counter() - began < 2
+    assert time.process_time() - began < 2

@@ -43,17 +43,19 @@ def test_nobody_is_waited_for_any_longer_than_a_mock_takes_to_start():
     began = time.monotonic()
     with pytest.raises(RobotConnectionError):
         once_listening("127.0.0.1", refusing(1000), within_s=0.3)
-    assert 0.3 <= time.monotonic() - began < 3.0
+    assert 0.3 <= time.monotonic() - began < network.STARTING_S
 
 
 def test_other_problems_than_refusals_are_told_at_once():
+    asked = []
+
     def hung_up():
+        asked.append(1)
         raise RobotConnectionError("has hung up")
 
-    began = time.monotonic()
     with pytest.raises(RobotConnectionError, match="hung up"):
         once_listening("127.0.0.1", hung_up)
-    assert time.monotonic() - began < 1.0
+    assert len(asked) == 1
 
 
 def test_a_dashboard_that_opens_late_is_reached():

@@ -518,7 +518,7 @@ class WallRobot(KinematicRobot):
 
     def __init__(self, hangs_in: str) -> None:
         super().__init__()
-        self.hangs_in, self.free = hangs_in, threading.Event()
+        self.hangs_in, self.free, self.over = hangs_in, threading.Event(), list[bool]()
 
     @property
     def capabilities(self) -> Capabilities:
@@ -527,12 +527,12 @@ class WallRobot(KinematicRobot):
     def read(self, timeout_s: float = 1.0) -> StructArray:
         on_main_line = threading.current_thread().name == "hil-the control loop"
         if self.hangs_in == "read" and self._segment == 1 and on_main_line:
-            self.free.wait(20)
+            self.over.append(self.free.wait(300))
         return super().read(timeout_s)
 
     def prepare(self, segment: object) -> None:
         if self.hangs_in == "prepare" and self._segment == 1:
-            self.free.wait(20)
+            self.over.append(self.free.wait(300))
         super().prepare(segment)  # type: ignore[arg-type]
 
 
@@ -544,9 +544,8 @@ def test_a_call_that_never_returns_ends_the_run_and_commands_nothing_later(
     monkeypatch.setattr("hil.engine.engine.COMMAND_WITHIN_S", 0.3)
     monkeypatch.setattr(watchdog.Watchdog.__init__, "__kwdefaults__", {"limit_s": 0.3, "on": True})
     robot, sink = WallRobot(call), ListSink()
-    begin = time.monotonic()
     result = engine(robot, sink).run()
-    assert time.monotonic() - begin < 5
+    assert not robot.over
     assert result.outcome is Outcome.FAILED
     assert isinstance(result.error, RobotTimeout)
     assert "stop" in robot.calls
@@ -564,7 +563,7 @@ from hil.engine.signals import SignalWatch
 
 class Stuck(KinematicRobot):
     def stop(self):
-        time.sleep(30)
+        time.sleep(300)
 
 robot = Stuck()
 with SignalWatch() as watch, watch.guard():
@@ -587,13 +586,11 @@ with SignalWatch() as watch, watch.guard():
 
 @pytest.mark.thorough
 def test_the_third_signal_ends_the_process_although_stop_hangs() -> None:
-    begin = time.monotonic()
     done = subprocess.run(
-        [sys.executable, "-c", SCRIPT], capture_output=True, text=True, timeout=25, check=False
+        [sys.executable, "-c", SCRIPT], capture_output=True, text=True, timeout=200, check=False
     )
     assert done.returncode == 130, done.stderr
     assert "moving" in done.stdout
-    assert time.monotonic() - begin < 20
 
 
 def test_a_pause_asked_for_elsewhere_does_not_count_as_a_signal() -> None:

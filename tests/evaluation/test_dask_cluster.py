@@ -25,7 +25,7 @@ def made() -> Iterator[Any]:
     """A cluster of one process with one thread."""
     distributed = pytest.importorskip("distributed", reason="distributed is not installed")
     with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
+        n_workers=1, threads_per_worker=1, dashboard_address="127.0.0.1:0", host="127.0.0.1"
     ) as cluster_of_one:
         yield cluster_of_one
 

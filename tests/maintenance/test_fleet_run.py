@@ -236,7 +236,7 @@ def test_ctrl_c_reaches_a_worker_that_has_answered(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("hil.maintenance.fleet_run.worker_main", stays)
-    monkeypatch.setattr("hil.maintenance.fleet_run.GONE_S", 40.0)
+    monkeypatch.setattr("hil.maintenance.fleet_run.GONE_S", 400.0)
     fleet = one_at_it(tmp_path)
     ((answer, (_, process)),) = fleet.running.items()
     assert answer.poll(30.0)
@@ -244,7 +244,7 @@ def test_ctrl_c_reaches_a_worker_that_has_answered(
     begin = time.monotonic()
     with fleet.signals():
         assert list(fleet.answers()) == [(0, TOLD)]
-    assert time.monotonic() - begin < 20.0
+    assert time.monotonic() - begin < 200.0
     assert process.exitcode == -signal.SIGTERM
 
 

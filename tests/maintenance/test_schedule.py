@@ -363,9 +363,9 @@ def test_a_command_that_fails_is_told(words: tuple[str, ...], told: str) -> None
 
 def test_a_command_that_hangs_is_killed_with_its_children() -> None:
     begin = time.monotonic()
-    hangs = Command(("sh", "-c", "sleep 60 & wait"), "nightly", within_s=0.2)
+    hangs = Command(("sh", "-c", "sleep 400 & wait"), "nightly", within_s=0.2)
     assert hangs({"event": "done"}) == "sh did not end within 0.2 s"
-    assert time.monotonic() - begin < 5
+    assert time.monotonic() - begin < 200
 
 
 def test_no_command_is_no_problem() -> None:
@@ -535,8 +535,8 @@ def soon(seconds: float) -> datetime:
 def test_a_blackout_interrupts_what_is_done() -> None:
     begin = time.monotonic()
     with pytest.raises(Interruption), interrupt_at(soon(0.2)):
-        time.sleep(20)
-    assert time.monotonic() - begin < 5
+        time.sleep(400)
+    assert time.monotonic() - begin < 200
 
 
 def test_a_run_that_was_stopped_for_it_is_interrupted() -> None:

@@ -135,7 +135,7 @@ def test_a_dask_cluster_finds_the_same_bits_by_path_and_by_samples(
 ) -> None:
     distributed = pytest.importorskip("distributed", reason="distributed is not installed")
     with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
+        n_workers=1, threads_per_worker=1, dashboard_address="127.0.0.1:0", host="127.0.0.1"
     ) as made:
         seen = fit_runs(runs, HOW, workers=1, dask=made.scheduler_address)
         # workers find another run there than the one they are asked for

@@ -125,23 +125,21 @@ def test_a_pipe_in_place_of_a_file_holds_nobody_up(
     path = folder / ".git" / where
     path.unlink(missing_ok=True)
     os.mkfifo(path)
-    began = time.perf_counter()
-    git_state(folder)
-    assert time.perf_counter() - began < 10.0
+    git_state(folder)  # it would wait for ever for somebody to write into the pipe
 
 
 def test_a_hanging_git_does_not_hold_up_a_run(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     slow = tmp_path / "git"
-    slow.write_text("#!/bin/sh\nexec sleep 30\n")
+    slow.write_text("#!/bin/sh\nexec sleep 400\n")
     slow.chmod(0o755)
     sha = git(folder, "rev-parse", "HEAD")
     monkeypatch.setattr(reading, "GIT_TIMEOUT_S", 0.1)
     monkeypatch.setattr(reading.shutil, "which", lambda name, path: str(slow))
-    began = time.perf_counter()
+    began = time.monotonic()
     assert git_state(folder) == {"sha": sha, "dirty": None}
-    assert time.perf_counter() - began < 10.0
+    assert time.monotonic() - began < 200.0
 
 
 def test_without_git_the_commit_is_known_still(

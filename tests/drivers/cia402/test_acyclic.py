@@ -364,7 +364,7 @@ def _without_mapping(eds: str, index: str) -> str:
 
 
 WATCHED = 127 << 16 | 250
-LONG_S = 5.0
+LONG_S = 120.0
 
 
 def silence(line, *axes: int) -> None:

@@ -257,7 +257,7 @@ def test_a_constructor_that_holds_the_interpreter_is_given_up(fake, monkeypatch)
     asked = time.monotonic()
     with pytest.raises(RobotTimeout, match="connect"):
         process.connect()
-    assert time.monotonic() - asked < 8.0
+    assert time.monotonic() - asked < 50.0  # it would hold it for a minute
     assert not process.alive
 
 
