@@ -16,7 +16,7 @@ Values = FloatArray | float
 
 
 def student_quantile(probability: Values, degrees: Values) -> Any:
-    """Return the value that Student's t is below with this probability, shaped like the inputs."""
+    """Return the value that Student's t is below with a probability above 0, shaped alike."""
     return special.stdtrit(degrees, probability)
 
 
@@ -34,8 +34,8 @@ def fisher_tail(ratio: float, degrees: float, degrees_below: float) -> float:
     """Return the probability that Fisher's F exceeds a ratio of two variances.
 
     Args:
-        ratio: Of the two variances [1], not negative.
+        ratio: Of the two variances [1]; one that rounding has made negative counts as 0.
         degrees: Of freedom of the numerator.
         degrees_below: Of freedom of the denominator.
     """
-    return float(special.fdtrc(degrees, degrees_below, ratio))
+    return float(special.fdtrc(degrees, degrees_below, max(ratio, 0.0)))

@@ -36,6 +36,7 @@ from hil.planning.plan import LoadStep, Plan, Step
 from hil.robot import Capabilities, Robot, Status
 from hil.spec.interlocks import SpeedInterlock, TemperatureInterlock, TrackingErrorInterlock
 from tests.support.engine_parts import ListSink, engine, small_plan
+from tests.support.in_time import InTime, measured_again
 from tests.support.interlock_parts import rows
 from tests.support.kinematic_robot import KinematicRobot
 
@@ -518,7 +519,8 @@ class WallRobot(KinematicRobot):
 
     def __init__(self, hangs_in: str) -> None:
         super().__init__()
-        self.hangs_in, self.free, self.over = hangs_in, threading.Event(), list[bool]()
+        self.hangs_in, self.free = hangs_in, threading.Event()
+        self.waited_out = list[bool]()
 
     @property
     def capabilities(self) -> Capabilities:
@@ -527,25 +529,28 @@ class WallRobot(KinematicRobot):
     def read(self, timeout_s: float = 1.0) -> StructArray:
         on_main_line = threading.current_thread().name == "hil-the control loop"
         if self.hangs_in == "read" and self._segment == 1 and on_main_line:
-            self.over.append(self.free.wait(300))
+            self.waited_out.append(self.free.wait(300))
         return super().read(timeout_s)
 
     def prepare(self, segment: object) -> None:
         if self.hangs_in == "prepare" and self._segment == 1:
-            self.over.append(self.free.wait(300))
+            self.waited_out.append(self.free.wait(300))
         super().prepare(segment)  # type: ignore[arg-type]
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("call", ["read", "prepare"])
+@measured_again
 def test_a_call_that_never_returns_ends_the_run_and_commands_nothing_later(
     monkeypatch: pytest.MonkeyPatch, call: str
 ) -> None:
     monkeypatch.setattr("hil.engine.engine.COMMAND_WITHIN_S", 0.3)
     monkeypatch.setattr(watchdog.Watchdog.__init__, "__kwdefaults__", {"limit_s": 0.3, "on": True})
     robot, sink = WallRobot(call), ListSink()
+    asked = InTime()
     result = engine(robot, sink).run()
-    assert not robot.over
+    taken = asked.taken()
+    assert not robot.waited_out
     assert result.outcome is Outcome.FAILED
     assert isinstance(result.error, RobotTimeout)
     assert "stop" in robot.calls
@@ -553,6 +558,7 @@ def test_a_call_that_never_returns_ends_the_run_and_commands_nothing_later(
     robot.free.set()
     time.sleep(0.3)
     assert [c for c in robot.calls if c == "start"] == told
+    taken.require(5)
 
 
 SCRIPT = """

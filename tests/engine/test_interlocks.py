@@ -47,6 +47,7 @@ from hil.spec.interlocks import DEFAULTS, PluggedInterlock
 from hil.workflow.interlocks import RunInterlocks
 from hil.workflow.preview import planned
 from tests.support.engine_parts import ListSink, engine
+from tests.support.in_time import InTime, measured_again
 from tests.support.interlock_parts import NAMES, made, rows, spec_of, with_value
 from tests.support.kinematic_robot import KinematicRobot
 from tests.support.waiting import until
@@ -972,19 +973,22 @@ def test_a_disk_is_clear_again_with_a_fifth_more_than_the_least(disk: Any) -> No
 
 
 def test_a_disk_that_hangs_is_never_waited_for_and_trips_after_ten_seconds(disk: Any) -> None:
-    hang, clock, over = threading.Event(), Clock(), list[bool]()
+    hang, clock, waited_out = threading.Event(), Clock(), list[bool]()
 
     def hanging(folder: Path) -> int:
-        over.append(hang.wait(300.0))
+        waited_out.append(hang.wait(300.0))
         return 900 * MB
 
     interlock = disk(hanging, now=clock)
+    asked = InTime()
     for seconds in (0.0, 4.0, 5.9):
         clock.time += seconds
         assert interlock.check(BLOCK) is None
     clock.time += 0.2
     trip = interlock.check(BLOCK)
-    assert not over
+    taken = asked.taken()
+    taken.require(1.0)
+    assert not waited_out
     assert trip is not None
     assert "free space for . not measured" in trip.text(NAMES)
     hang.set()
@@ -1136,6 +1140,7 @@ class WallRobot(KinematicRobot):
 
 
 @pytest.mark.thorough
+@measured_again
 def test_an_interlock_that_hangs_is_named_and_not_the_driver(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -1143,11 +1148,14 @@ def test_an_interlock_that_hangs_is_named_and_not_the_driver(
 
     monkeypatch.setattr(watchdog.Watchdog.__init__, "__kwdefaults__", {"limit_s": 0.2, "on": True})
     for_ever = threading.Event()
-    over = []
-    hangs = Foreign("light curtain", lambda block: over.append(for_ever.wait(300)))
+    waited_out = []
+    hangs = Foreign("light curtain", lambda block: waited_out.append(for_ever.wait(300)))
+    asked = InTime()
     result = engine(WallRobot(), ListSink(), interlocks=[hangs]).run()
-    assert not over
+    taken = asked.taken()
+    assert not waited_out
     for_ever.set()
+    taken.require(15)
     assert isinstance(result.error, InterlockTripped)
     assert result.reason == "interlock light curtain: it did not return for seconds"
     assert "the watchdog stopped the robot" in result.notes[0]

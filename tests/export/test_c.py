@@ -51,8 +51,7 @@ def program(request, tmp_path_factory) -> tuple[str, RobotEstimator, Path, Libra
     """Of every kind: its name, the model, the folder with the source, and the program."""
     model = fitted(request.param)
     folder = written(c_source(program_of(model)), tmp_path_factory.mktemp("c"))
-    built = Build(folder, folder, flags=("-O0",))  # no speed is asked of it
-    return request.param, model, folder, built.library(model.robot_.n)
+    return request.param, model, folder, Build(folder, folder).library(model.robot_.n)
 
 
 @pytest.mark.thorough

@@ -91,9 +91,12 @@ def test_memory_stays_where_positions_go_against_the_velocity() -> None:
     assert torque / torque_per_effort(document) == pytest.approx(theirs, rel=1e-9, abs=1e-9)
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_number_that_is_bent_is_noticed(kind: str, monkeypatch) -> None:
+@pytest.mark.parametrize(
+    "apart", [pytest.param(3, marks=pytest.mark.thorough), pytest.param(1, marks=pytest.mark.proof)]
+)
+def test_every_number_that_is_bent_is_noticed(kind: str, apart: int, monkeypatch) -> None:
+    """Of each third joint and link, beginning with another one for the next kind; or of all."""
     model = fitted(kind)
     monkeypatch.setattr(json_check, "golden_of", lambda one: golden_of(one, SAMPLES))
     monkeypatch.setattr(json_check, "SAMPLES", SAMPLES)
@@ -101,17 +104,14 @@ def test_every_number_that_is_bent_is_noticed(kind: str, monkeypatch) -> None:
     physics = getattr(model, "base_", model)
     compared = comparisons(physics, document)
     differences(physics, document, compared)
-    # Two of six joints and links; the next kind has the next two.
-    joints, first = (
-        [joint["name"] for joint in document["robot"]["joints"]],
-        [*KINDS].index(kind) % 3,
-    )
-    chosen = joints[first::3]
+    joints = [joint["name"] for joint in document["robot"]["joints"]]
+    first = [*KINDS].index(kind) % apart
+    chosen = joints[first::apart]
     unnoticed = []
     for where in numbers(document):
         if where[0] == "parameters" and document["parameters"][where[1]]["joint"] not in chosen:
             continue
-        if where[:2] == ("links", "values") and where[2] % 3 != first:
+        if where[:2] == ("links", "values") and where[2] % apart != first:
             continue
         bent = copy.deepcopy(document)
         *path, last = where

@@ -157,7 +157,6 @@ def test_a_fit_that_always_kills_its_process_leaves_the_others_alone(
 ) -> None:
     tasks = {"a": always, "b": partial(FitResult, "model"), "c": partial(FitResult, "model")}
     monkeypatch.setattr(fleet_fits, "_task", lambda run, settings: tasks[run.name])
-    monkeypatch.setattr("hil.core.parallel.TRIES", 2)
     found = fit_runs([Path(name) for name in tasks], HOW, workers=1)
     assert found[0].error == fleet_fits.DIED
     assert [one.folder for one in found] == ["", "model", "model"]

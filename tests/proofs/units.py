@@ -129,6 +129,7 @@ UNITS = (
         "recorder",
         "the recorder loses nothing at 500 Hz and costs little",
         "tests/proofs/test_recording.py",
+        "tests/recording/test_recovery.py",
         minutes=5,
     ),
     _tests(
@@ -187,8 +188,9 @@ UNITS = (
     ),
     _tests(
         "tracing",
-        "models with networks and with memory stream the same efforts as ONNX and PyTorch programs",
+        "exported programs stream a model's efforts, and no number of a document may be wrong",
         "tests/export/test_conformance.py",
+        "tests/export/test_json_columns.py",
         minutes=3,
     ),
     _tests(

@@ -898,7 +898,7 @@ def test_checksums_have_what_was_given_up(tmp_path: Path) -> None:
     assert list((run.stop or {})["sha256"]) == ["recording/00.mcap.partial", "start.json"]
 
 
-# Torn at every byte, flipped at any bit: true rows or a clear refusal, never anything else
+# Torn anywhere, flipped at any bit: true rows or a clear refusal, never anything else
 
 
 RAW_TOPIC = raw_topic()
@@ -938,15 +938,17 @@ def by_mcaps_own_reader(path: Path) -> bytes:
     return b"".join(one[len(CDR_HEADER) :] for one in data)
 
 
-@pytest.mark.thorough
-def test_cut_anywhere_it_is_recovered_up_to_the_tear_or_refused(folder: Path) -> None:
-    """At every seventh byte, and at each beside the beginning, a chunk's end and the end."""
+@pytest.mark.parametrize(
+    "apart", [pytest.param(7, marks=pytest.mark.thorough), pytest.param(1, marks=pytest.mark.proof)]
+)
+def test_cut_anywhere_it_is_recovered_up_to_the_tear_or_refused(folder: Path, apart: int) -> None:
+    """At every seventh byte or each, and at all beside the beginning, a chunk's end and the end."""
     rows, content = recorded()
     torn, whole = folder / "00.mcap.partial", folder / "00.mcap"
     rows_before, kept = rows_whole_before(torn, content), []
     steps = [0, *(1 + np.flatnonzero(np.diff(rows_before))), len(content)]
     near = {cut for step in steps for cut in range(int(step) - 20, int(step) + 20)}
-    cuts = sorted(near & {*range(len(content))} | {*range(0, len(content), 7)})
+    cuts = sorted(near & {*range(len(content))} | {*range(0, len(content), apart)})
     for end in cuts:
         torn.write_bytes(content[:end])
         try:

@@ -39,7 +39,7 @@ def off_by(found: FloatArray, expected: FloatArray) -> float:
 
 def c_efforts(out: Path, build_in: Path, model: RobotEstimator) -> Efforts:
     """A folder of C, compiled once; the self-test in it has passed."""
-    build = Build(out, build_in, flags=("-O0",))  # test_c_compilers.py optimises
+    build = Build(out, build_in, flags=("-O0",))  # test_c.py optimises
     assert build.self_test().startswith("largest difference")
     library = build.library(len(model.joint_names_))
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from hil.planning import robots
 from hil.planning.build import build_plan
 from hil.planning.plan import Plan
 from hil.spec import ExperimentSpec, StationRobot
+from hil.spec.load import is_path
 from hil.workflow import preview
 
 _MADE: dict[tuple[str, ...], Plan] = {}
@@ -22,7 +22,7 @@ def planned_once(
     spec: ExperimentSpec, station_robot: StationRobot, *, watch: Any = unwatched, **given: Any
 ) -> Plan:
     """Return what `build_plan` gives; make it if no test has done so before."""
-    if getattr(spec.excitation, "file", None) or Path(station_robot.model).suffix:
+    if getattr(spec.excitation, "file", None) or is_path(station_robot.model):
         return build_plan(spec, station_robot, watch=watch, **given)  # files may change
     start = given.get("start_q")
     key = (

@@ -57,13 +57,16 @@ class StopsAt:
         monkeypatch.setattr(Engine, "_execute", stopping)
 
 
-_KEPT = tempfile.TemporaryDirectory(prefix="stopped-runs-")
+@functools.cache
+def _kept() -> tempfile.TemporaryDirectory[str]:
+    """Return the folder of such runs; it goes with the process."""
+    return tempfile.TemporaryDirectory(prefix="stopped-runs-")
 
 
 @functools.cache
 def _stopped_once(step: int, text: str) -> tuple[Path, Path]:
     """Return a run that was stopped at a step, and the folder it is in; nothing changes it."""
-    home = Path(tempfile.mkdtemp(dir=_KEPT.name))
+    home = Path(tempfile.mkdtemp(dir=_kept().name))
     with pytest.MonkeyPatch.context() as patch:
         return home, stopped_run(home, patch, step, text)
 

@@ -391,9 +391,11 @@ def test_all_drives_are_asked_at_once_and_those_who_answer_are_told() -> None:
 def test_what_a_drive_refuses_is_neither_read_nor_written() -> None:
     with drives(2) as line:
         master = line.master
+        began = time.monotonic()
         assert master.upload_each(Entry("no_such", 0x5FFF, 3, "B"), [0], LONG_S) == {}
         assert master.download_each(od.STATUSWORD, 5, [0, 1], LONG_S) == []
         assert master.download_each(od.QUICK_STOP_OPTION, 6, [0, 1], LONG_S) == [0, 1]
+        assert time.monotonic() - began < LONG_S / 2
         assert line.nodes[1].registers[key(0x605A)] == 6
 
 

@@ -595,16 +595,16 @@ def test_limits_that_cannot_be_are_none(state, said):
 def test_a_name_is_looked_up_once_and_not_for_longer_than_it_may_take(monkeypatch):
     assert ip_address_of("192.0.2.7") == "192.0.2.7"
     assert ip_address_of("localhost") == "127.0.0.1"
-    asked, over = threading.Event(), list[bool]()
+    asked, waited_out = threading.Event(), list[bool]()
 
     def hangs(*args):
-        over.append(asked.wait(300.0))
+        waited_out.append(asked.wait(300.0))
         raise socket.gaierror(-3, "Temporary failure in name resolution")
 
     monkeypatch.setattr("socket.getaddrinfo", hangs)
     with pytest.raises(RobotConnectionError, match=r"no answer within 0\.1 s"):
         ip_address_of("ur5.lab.example", 0.1)
-    assert not over
+    assert not waited_out
     asked.set()
 
 
