@@ -146,8 +146,14 @@ class Master:
         """Announce what it does."""
         self.send(0x180 + master_id, struct.pack("<iH", segment, status))
 
-    def cycle(self, controlword: int, targets: Sequence[int], mode: int = CSP) -> bool:
-        """SYNC, commands, answers; whether all TPDOs came."""
+    def cycle(
+        self,
+        controlword: int,
+        targets: Sequence[int],
+        mode: int = CSP,
+        within_s: float = ANSWERS_S,
+    ) -> bool:
+        """SYNC, commands, answers; whether all TPDOs came in time."""
         if self.master_heartbeat and self.cycles % self.master_heartbeat == 0:
             self.send(0x77F, b"\x05")
         self.cycles += 1
@@ -155,7 +161,7 @@ class Master:
         for node, target in zip(self.nodes, targets, strict=True):
             self.send(0x200 + node, RPDO1.pack(controlword, mode, target))
         missing = {base + node for base in (0x180, 0x280) for node in self.nodes}
-        until = time.monotonic() + ANSWERS_S
+        until = time.monotonic() + within_s
         while missing and time.monotonic() < until:
             message = self.hear(0.05)
             if message is not None:

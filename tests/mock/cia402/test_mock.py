@@ -65,9 +65,8 @@ def follow(master: Master, start: list[int], end_rad: float, cycles: int) -> Non
     """All axes by a cosine to `end_rad` from where they are."""
     for k in range(1, cycles + 1):
         way = end_rad * (1 - math.cos(math.pi * k / cycles)) / 2
-        assert master.cycle(
-            ENABLE, [s + round(way * c) for s, c in zip(start, COUNTS, strict=True)]
-        )
+        targets = [s + round(way * c) for s, c in zip(start, COUNTS, strict=True)]
+        assert master.cycle(ENABLE, targets, within_s=PATIENT)
 
 
 def test_six_axes_follow_set_points_by_sync() -> None:
