@@ -148,7 +148,7 @@ def revision() -> str:
     git = ("git", "-C", str(ROOT))
     told = subprocess.run([*git, "rev-parse", "--short=8", "HEAD"], capture_output=True, text=True)
     changed = subprocess.run(
-        [*git, "status", "--porcelain", "--", *INPUTS],
+        [*git, "status", "--porcelain", "--", *INPUTS, f":!{STATE.relative_to(ROOT).as_posix()}"],
         capture_output=True,
         text=True,
     )
