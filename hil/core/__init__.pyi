@@ -6,10 +6,6 @@ from .arguments import paths_of as paths_of
 from .arguments import sources_of as sources_of
 from .arguments import values_by_name as values_by_name
 from .arguments import whole_number as whole_number
-from .distributions import fisher_tail as fisher_tail
-from .distributions import normal_quantile as normal_quantile
-from .distributions import student_quantile as student_quantile
-from .distributions import student_tail as student_tail
 from .durations import Duration as Duration
 from .durations import duration_of as duration_of
 from .durations import duration_text as duration_text

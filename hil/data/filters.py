@@ -260,8 +260,7 @@ def zero_phase(values: FloatArray, fraction: float, order: int = 5) -> FloatArra
             f"{len(values)} samples are too few for a zero-phase filter of order {order}",
             hint=f"it needs {needed}; leave the series out or lower the order",
         )
-    # sosfiltfilt takes no array that must not be written to.
-    sections = _low_pass(order, fraction).copy()
+    sections = _low_pass(order, fraction)
     filtered: FloatArray = sosfiltfilt(sections, values, axis=0, padlen=needed - 1)
     return filtered
 
@@ -272,7 +271,6 @@ def _low_pass(order: int, fraction: float) -> FloatArray:
     from scipy.signal import butter
 
     sections: FloatArray = butter(order, fraction, output="sos")
-    sections.setflags(write=False)
     return sections
 
 

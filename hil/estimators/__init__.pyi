@@ -28,6 +28,9 @@ from .consistent import consistent_least_squares as consistent_least_squares
 from .diffnea import RigidDiffnea as RigidDiffnea
 from .diffnea_friction import FORMS as FORMS
 from .diffnea_friction import LEAST_SPEED as LEAST_SPEED
+from .distributions import normal_quantile as normal_quantile
+from .distributions import student_quantile as student_quantile
+from .distributions import student_tail as student_tail
 from .drive_curve import has_current as has_current
 from .drive_gains import ControllerGains as ControllerGains
 from .drive_gains import Gains as Gains

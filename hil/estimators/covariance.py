@@ -29,7 +29,8 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from hil.core import FloatArray, IntArray, student_quantile
+from hil.core import FloatArray, IntArray
+from hil.estimators.distributions import student_quantile
 
 Correction = Literal["CR1", "CR2"]
 

@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from hil.core import FloatArray, IntArray, fisher_tail
+from hil.core import FloatArray, IntArray
 from hil.dynamics import conditioning
+from hil.estimators.distributions import fisher_tail
 from hil.estimators.least_squares import upper_triangle
 
 SHOWN = 3

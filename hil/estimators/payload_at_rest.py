@@ -18,11 +18,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.arms import Payload
-from hil.core import BoolArray, DataError, FitError, FloatArray, HilError, student_quantile
+from hil.core import BoolArray, DataError, FitError, FloatArray, HilError
 from hil.data import Conditions, Dataset, dwells_of, series_means
 from hil.dynamics import GAIN_SHARE, static_columns
 from hil.estimators.base import HONEST, RobotEstimator
 from hil.estimators.checks import require_clean
+from hil.estimators.distributions import student_quantile
 from hil.estimators.payload import LEVEL, Correction, PayloadEstimate, rms
 from hil.estimators.standstill import dry_friction, require_torque, resting_at
 

@@ -24,8 +24,9 @@ from typing import Literal
 import numpy as np
 
 from hil.arms import Payload
-from hil.core import FloatArray, normal_quantile, student_quantile
+from hil.core import FloatArray
 from hil.dynamics import GAIN_SHARE
+from hil.estimators.distributions import normal_quantile, student_quantile
 from hil.estimators.payload import PayloadEstimate, true_values
 
 FALSE_ALARM = 0.002

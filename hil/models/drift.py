@@ -35,14 +35,11 @@ from hil.core import (
     DataError,
     FloatArray,
     RegistryError,
-    normal_quantile,
     read_json,
     sha256_of,
-    student_quantile,
-    student_tail,
 )
 from hil.data import Dataset
-from hil.estimators import RobotEstimator
+from hil.estimators import RobotEstimator, normal_quantile, student_quantile, student_tail
 from hil.evaluation import require_unseen, usable_part
 from hil.importers import load_source
 from hil.models.drift_features import UNITS, Features, features_of

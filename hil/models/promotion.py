@@ -26,10 +26,9 @@ from hil.core import (
     Tone,
     card,
     number,
-    student_quantile,
 )
 from hil.data import SAME_PLACE_RAD, SAME_SHARE, Dataset
-from hil.estimators import RobotEstimator
+from hil.estimators import RobotEstimator, student_quantile
 from hil.evaluation import (
     Criterion,
     Verdict,

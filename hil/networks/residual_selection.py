@@ -22,9 +22,9 @@ from typing import Any
 
 import numpy as np
 
-from hil.core import BoolArray, FloatArray, IntArray, student_quantile
+from hil.core import BoolArray, FloatArray, IntArray
 from hil.data import Dataset, group_of, groups, has_sample_split, rows_to_fit
-from hil.estimators import RobotEstimator, SpeedBands, with_prefix, without_prefix
+from hil.estimators import RobotEstimator, SpeedBands, student_quantile, with_prefix, without_prefix
 from hil.networks.residual_data import Motions, ResidualSettings, in_motion, trajectory_numbers
 from hil.networks.residual_tcn import TrainedTcn, require_finite_arrays
 from hil.networks.training import Curves

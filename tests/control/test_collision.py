@@ -22,12 +22,12 @@ from tests.support.collision_parts import (
     MIDDLE,
     RATE_HZ,
     Push,
+    collisions_in,
     fitted,
     joint_torque,
     motion,
     quiet,
     recorded,
-    told,
 )
 from tests.support.mock_motions import blend, hold
 
@@ -56,7 +56,7 @@ def thresholds(model, calibration):
 @pytest.mark.parametrize("seed", [41, 42])
 def test_motions_without_contact_alarm_nobody(model, seed) -> None:
     data = recorded(5, motion(seed, SHORT_S), noise=seed)
-    found, residuals = told(CollisionDetector(model), data)
+    found, residuals = collisions_in(CollisionDetector(model), data)
     assert found == []
     assert np.abs(residuals).max() > 0.5  # it does look
 
@@ -64,7 +64,7 @@ def test_motions_without_contact_alarm_nobody(model, seed) -> None:
 @pytest.mark.thorough
 def test_another_arm_of_the_type_raises_no_alarm_with_a_model_of_its_own() -> None:
     data = recorded(6, motion(40, SHORT_S), noise=40)
-    assert told(CollisionDetector(fitted(6)), data)[0] == []
+    assert collisions_in(CollisionDetector(fitted(6)), data)[0] == []
 
 
 @pytest.mark.thorough
@@ -74,7 +74,7 @@ def test_another_arm_of_the_type_raises_no_alarm_with_a_model_of_its_own() -> No
 )
 def test_a_push_at_the_flange_is_found_in_time(model, force, within_s) -> None:
     data = recorded(5, motion(43, SHORT_S), noise=43, push=Push(force, FIRST, FIRST + 40))
-    ((collision, *again), _) = told(CollisionDetector(model), data)
+    ((collision, *again), _) = collisions_in(CollisionDetector(model), data)
     assert again == []
     start = data["t"][FIRST - 1]
     assert start < collision.since_s < collision.time_s <= start + within_s
@@ -88,7 +88,7 @@ def test_a_push_at_the_flange_is_found_in_time(model, force, within_s) -> None:
 def test_the_residual_is_the_torque_of_the_push(model) -> None:
     push = Push((0.0, 60.0, 0.0), FIRST, FIRST + 40)
     data = recorded(5, motion(43, SHORT_S), noise=43, push=push)
-    _, residuals = told(CollisionDetector(model), data)
+    _, residuals = collisions_in(CollisionDetector(model), data)
     held = slice(FIRST + 25, FIRST + 40)
     error = residuals[held].mean(axis=0) - joint_torque(push.force, data["q"][FIRST + 32])
     assert np.all(np.abs(error) < [3.0, 3.0, 3.0, 1.0, 1.0, 1.0])
@@ -97,18 +97,18 @@ def test_the_residual_is_the_torque_of_the_push(model) -> None:
 @pytest.mark.thorough
 def test_an_unknown_load_alarms_and_a_declared_one_does_not(model) -> None:
     data = recorded(5, motion(44, SHORT_S), noise=44, mounted=LOAD)
-    unknown, _ = told(CollisionDetector(model), data)
+    unknown, _ = collisions_in(CollisionDetector(model), data)
     assert unknown[0].time_s < 0.2
     start = data["q"][:1]
     weight = load_model("ur5").payload_effort(LOAD, start, 0 * start, 0 * start)[0]
     assert np.sign(unknown[0].torque) == -np.sign(weight[unknown[0].index])
-    assert told(CollisionDetector(model, LOAD), data)[0] == []
+    assert collisions_in(CollisionDetector(model, LOAD), data)[0] == []
 
 
 @pytest.mark.thorough
 def test_a_declared_load_that_is_not_there_alarms(model) -> None:
     data = recorded(5, motion(44, SHORT_S), noise=44)
-    assert told(CollisionDetector(model, LOAD), data)[0]
+    assert collisions_in(CollisionDetector(model, LOAD), data)[0]
 
 
 @pytest.mark.thorough
@@ -117,7 +117,7 @@ def test_calibrated_thresholds_are_lower_and_still_hold(model, thresholds) -> No
     assert thresholds.false_alarms == 0.25
     assert np.all(thresholds.level < own.level)
     data = recorded(5, motion(40, SHORT_S), noise=40)
-    assert told(CollisionDetector(model, thresholds=thresholds), data)[0] == []
+    assert collisions_in(CollisionDetector(model, thresholds=thresholds), data)[0] == []
 
 
 @pytest.mark.thorough
@@ -127,7 +127,7 @@ def test_calibrated_thresholds_are_those_that_their_motions_reach(
     """Three judged motions and a promise of one in four: the highest peak is the threshold."""
 
     def alarms(those: CollisionThresholds, motion: dict[str, np.ndarray]) -> bool:
-        return bool(told(CollisionDetector(model, thresholds=those), motion)[0])
+        return bool(collisions_in(CollisionDetector(model, thresholds=those), motion)[0])
 
     just_below = replace(thresholds, level=0.999 * thresholds.level)
     (highest,) = (k for k in (1, 3, 5) if alarms(just_below, motion_of(calibration, k)))
@@ -191,9 +191,9 @@ def test_an_arm_that_rests_between_moves_alarms_nobody(model) -> None:
     way = blend(MIDDLE, np.add(MIDDLE, [0.6, 0.4, -0.7, 0.5, -0.5, 0.8]), RATE_HZ, 2.0)
     data = recorded(5, np.concatenate([way, hold(way, RATE_HZ, 2.0), way[::-1] * [[1], [-1], [1]]]))
     thresholds = CollisionThresholds.of(model)
-    assert told(CollisionDetector(model, thresholds=thresholds), data)[0] == []
+    assert collisions_in(CollisionDetector(model, thresholds=thresholds), data)[0] == []
     bare = replace(thresholds, resting=np.zeros(6))
-    assert told(CollisionDetector(model, thresholds=bare), data)[0]
+    assert collisions_in(CollisionDetector(model, thresholds=bare), data)[0]
 
 
 @pytest.mark.thorough

@@ -22,7 +22,6 @@ from hil.dashboard import plan_preview, run_page
 from hil.dashboard.server import create_app
 from hil.dashboard.settings import Settings
 from hil.recording.run_directory import RunDirectory
-from hil.robot import Address
 from hil.workflow.background_runs import Started, go_on_with, started_runs
 from hil.workflow.live_state import read_live
 from hil.workflow.motion_confirmation import Granted
@@ -33,9 +32,10 @@ from tests.support.confirming import (
     ELSEWHERE,
     REAL_ARM,
     SPEC,
-    STATION,
+    cut_off_at,
     document,
     jogged,
+    stand_at,
     stopped,
 )
 from tests.support.started_parts import PROMPT, WALL, begun
@@ -212,18 +212,13 @@ def hidden(html: str) -> dict[str, str]:
 @pytest.fixture
 def at(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
     """The embedded mock, declared to be a real arm at an address."""
-    return lambda address: monkeypatch.setattr(MockRobot, "address", Address(address))
+    return lambda address: stand_at(address, monkeypatch)
 
 
 @pytest.fixture(scope="module")
 def cut_off(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of an arm at AT that was confirmed there and stopped; nothing changes it."""
-    folder = tmp_path_factory.mktemp("cut-off")
-    (folder / "small.yaml").write_text(SPEC, "utf-8")
-    (folder / "station.yaml").write_text(STATION, "utf-8")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(MockRobot, "address", Address(AT))
-        return stopped(hil.load(folder / "small.yaml"), patch, Granted("--yes")).run
+    return cut_off_at(tmp_path_factory.mktemp("cut-off"))
 
 
 @pytest.fixture

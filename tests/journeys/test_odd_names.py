@@ -302,9 +302,9 @@ def test_stop_is_on_every_page_beside_runs_of_any_name(tmp_path: Path) -> None:
             assert answer.status_code == (404 if address == "/no" else 200), answer.text[-600:]
             assert [one for one in stops if f'action="{one}/stop"' not in answer.text] == []
         crawl(client, NAVIGATION)
-        told = {"csrf": client.app.state.settings.csrf}
+        form = {"csrf": client.app.state.settings.csrf}
         for where in stops:
-            answer = client.post(f"{where}/stop", data=told, headers={"accept": "application/json"})
+            answer = client.post(f"{where}/stop", data=form, headers={"accept": "application/json"})
             assert "does not listen" in answer.json()["error"]  # found, and its process is a test
 
 

@@ -125,7 +125,7 @@ def test_a_pipe_in_place_of_a_file_holds_nobody_up(
     path = folder / ".git" / where
     path.unlink(missing_ok=True)
     os.mkfifo(path)
-    git_state(folder)  # it would wait for ever for somebody to write into the pipe
+    git_state(folder)  # opening a pipe without a writer does not return
 
 
 def test_a_hanging_git_does_not_hold_up_a_run(

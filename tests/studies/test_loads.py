@@ -306,9 +306,9 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(campaign, "load_source", lambda run: raw(swept(LIGHT[1:])))
     monkeypatch.setattr(campaign, "load_model", lambda robot, gravity: nominal())
     path = write_run(tmp_path, dwell_plan(poses=2)).path
-    told = "study: [{study: load-validation, cutoff_hz: 20, rate_hz: 50, friction: model}]\n"
+    entry = "study: [{study: load-validation, cutoff_hz: 20, rate_hz: 50, friction: model}]\n"
     with (path / "spec.yaml").open("a", encoding="utf-8") as spec:
-        spec.write(told)
+        spec.write(entry)
     return path
 
 

@@ -77,8 +77,8 @@ def fitted(robot, name="rigid-hysteresis"):
     return estimator(name).fit(_learnt_from(robot), load_model("ur5"))
 
 
-def told(detector, data):
-    """All collisions that a detector tells, sample by sample, and the residuals (N, n)."""
+def collisions_in(detector, data):
+    """All collisions that a detector finds, sample by sample, and the residuals (N, n)."""
     found, residuals = [], []
     for row in zip(*(data[name] for name in ("t", "q", "qd", "effort")), strict=True):
         collision = detector.update(*row)

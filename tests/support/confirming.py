@@ -12,10 +12,12 @@ import pytest
 import hil
 import hil.arms
 from hil.engine import Engine, Reply, nobody_goes_on
+from hil.robot import Address
 from hil.workflow import motion_confirmation
 from hil.workflow.console import Console
 from hil.workflow.operator import OperatorChannel
 from hil.workflow.running import RunReport
+from hil_mock_robot.embedded.robot import MockRobot
 
 SPEC = """
 hil: 1
@@ -103,6 +105,22 @@ def stopped(
         report = run(experiment, confirm)
     assert report.outcome == "stopped"
     return report
+
+
+def cut_off_at(folder: Path) -> Path:
+    """Return the run, in a new folder, of an arm at AT that was confirmed there and stopped."""
+    (folder / "small.yaml").write_text(SPEC, "utf-8")
+    (folder / "station.yaml").write_text(STATION, "utf-8")
+    with pytest.MonkeyPatch.context() as patch:
+        stand_at(AT, patch)
+        return stopped(
+            hil.load(folder / "small.yaml"), patch, motion_confirmation.Granted("--yes")
+        ).run
+
+
+def stand_at(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Declare the embedded mock to be a real arm at an address."""
+    monkeypatch.setattr(MockRobot, "address", Address(address))
 
 
 def jogged(run: Path) -> None:

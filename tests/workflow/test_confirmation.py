@@ -52,10 +52,12 @@ from tests.support.confirming import (
     SPEC,
     STATION,
     FakeConsole,
+    cut_off_at,
     desk,
     document,
     jogged,
     run,
+    stand_at,
     stopped,
 )
 from tests.support.fleet_parts import SPEC as MEMBER
@@ -77,22 +79,14 @@ def experiment(tmp_path: Path) -> hil.Experiment:
 def real(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
     """The embedded mock, declared to be a real arm at an address."""
 
-    def at(address: str) -> None:
-        monkeypatch.setattr(MockRobot, "address", Address(address))
-
-    at(AT)
-    return at
+    stand_at(AT, monkeypatch)
+    return lambda address: stand_at(address, monkeypatch)
 
 
 @pytest.fixture(scope="module")
 def cut_off(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The run of a real robot that was stopped after its first measurements; stays as it is."""
-    folder = tmp_path_factory.mktemp("cut-off")
-    (folder / "small.yaml").write_text(SPEC, "utf-8")
-    (folder / "station.yaml").write_text(STATION, "utf-8")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(MockRobot, "address", Address(AT))
-        return stopped(hil.load(folder / "small.yaml"), patch, Granted("--yes")).run
+    return cut_off_at(tmp_path_factory.mktemp("cut-off"))
 
 
 @pytest.fixture

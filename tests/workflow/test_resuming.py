@@ -86,12 +86,12 @@ def torn(run: Path, keep: float) -> None:
 
 @dataclass(frozen=True)
 class GoneOn:
-    """A run that was stopped and then resumed to its end; what it was before, and what was said."""
+    """A run that was stopped and then resumed to its end: what it was before, and its events."""
 
     report: RunReport
     before: set[int]
     files: dict[Path, bytes]
-    told: list[dict[str, Any]]
+    events: list[dict[str, Any]]
 
 
 @pytest.fixture(scope="module")
@@ -99,21 +99,21 @@ def gone_on(tmp_path_factory: pytest.TempPathFactory) -> GoneOn:
     """Such a run; nothing changes it."""
     run = copy_of_stopped(tmp_path_factory.mktemp("gone-on"), step=30, text=FITTED)
     files = {p: p.read_bytes() for p in run.rglob("*") if p.is_file() and p.suffix != ".html"}
-    before, told = measured(run), list[dict[str, Any]]()
+    before, events = measured(run), list[dict[str, Any]]()
     assert before
     assert before < all_steps(run)
-    return GoneOn(hil.resume(run, observers=[Noted(told)]), before, files, told)
+    return GoneOn(hil.resume(run, observers=[Noted(events)]), before, files, events)
 
 
 @pytest.mark.thorough
 def test_a_stopped_run_goes_on_and_is_judged(gone_on: GoneOn) -> None:
     report, run = gone_on.report, gone_on.report.run
     assert report.error is None
-    stages = [event["stage"] for event in gone_on.told if event["kind"] == "stage"]
+    stages = [event["stage"] for event in gone_on.events if event["kind"] == "stage"]
     assert [text.partition(",")[0] for text in stages if "on purpose" in text] == [
         "warming up again"
     ]
-    assert {one["resumed"] for one in gone_on.told if one["kind"] == "progress"} == {1}
+    assert {one["resumed"] for one in gone_on.events if one["kind"] == "progress"} == {1}
     assert report.outcome == "completed"
     assert set(gone_on.files) <= set(run.rglob("*"))
     assert measured(run) == all_steps(run)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy import special
 
-from hil.core.typing import FloatArray
+from hil.core import FloatArray
 
 Values = FloatArray | float
 

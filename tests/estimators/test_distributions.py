@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from hil.core import fisher_tail, normal_quantile, student_quantile, student_tail
+from hil.estimators.distributions import (
+    fisher_tail,
+    normal_quantile,
+    student_quantile,
+    student_tail,
+)
 
 PROBABILITIES = np.array([1e-300, 1e-9, 0.025, 0.5, 0.975, 1.0 - 1e-9, 1.0])
 
