@@ -202,6 +202,25 @@ def test_signals_stop_the_run_and_keep_its_data(tmp_path: Path, numbers: list[in
     assert "Traceback" not in err
 
 
+LATE = """
+import os, signal, sys
+from hil.cli.app import main
+try:
+    main()
+finally:
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        os.kill(os.getpid(), number)
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+def test_signals_after_the_work_change_no_exit_code() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", LATE, "explain", "exit", "8"], capture_output=True, text=True
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 @pytest.mark.thorough
 def test_an_interrupted_plan_prints_one_document(tmp_path: Path) -> None:
     with subprocess.Popen(

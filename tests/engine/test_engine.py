@@ -27,7 +27,7 @@ from hil.core.errors import (
     Stopped,
 )
 from hil.core.typing import StructArray
-from hil.engine import TRANSITIONS, Observers, Outcome, Reply, RunState, watchdog
+from hil.engine import TRANSITIONS, Observers, Outcome, Reply, RunState
 from hil.engine.engine import IllegalTransition, StateMachine, under_way
 from hil.engine.interlocks import Threshold, interlocks_from_spec
 from hil.engine.reading import STALE_AFTER_BLOCKS, Deadline, Freshness
@@ -545,7 +545,6 @@ def test_a_call_that_never_returns_ends_the_run_and_commands_nothing_later(
     monkeypatch: pytest.MonkeyPatch, call: str
 ) -> None:
     monkeypatch.setattr("hil.engine.engine.COMMAND_WITHIN_S", 0.3)
-    monkeypatch.setattr(watchdog.Watchdog.__init__, "__kwdefaults__", {"limit_s": 0.3, "on": True})
     robot, sink = WallRobot(call), ListSink()
     asked = InTime()
     result = engine(robot, sink).run()

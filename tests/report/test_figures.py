@@ -16,7 +16,7 @@ from hil.core.typing import FloatArray
 from hil.report import colours
 from hil.report import run_figures as figures
 from hil.report.colours import PALETTE
-from hil.report.curves import binned, decimated, extremes, summarised, thinned
+from hil.report.curves import binned, decimated, extremes, has_names, summarised, thinned
 from hil.report.matplotlib_figure import THEME, drawn, following_the_screen
 from hil.report.plotly_figure import figure_json, panel_of, plotly_of
 from hil.report.run_figures import FIGURES, ModelView, RunView, figures_of
@@ -59,6 +59,17 @@ def test_no_trace_has_more_points_than_a_plot_can_show():
     for name in set(PANELS) - {"dwells"}:
         for trace in plotly_of(PANELS[name])["data"]:
             assert len(trace["x"]) <= 1200
+
+
+@pytest.mark.parametrize(
+    ("x", "named"),
+    [
+        (np.arange(3), False), (np.arange(3.0), False), ((1.0, 2), False), ((), False),
+        (("J1", "J2"), True), (np.array(["J1", "J2"]), True), (np.array([1, "J2"], object), True),
+    ],
+)  # fmt: skip
+def test_names_along_x_are_not_taken_for_numbers(x, named):
+    assert has_names(Curve("a", x)) is named
 
 
 def test_a_figure_is_added_by_one_registered_function(monkeypatch):
