@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.proofs import __main__ as runner
+from tests.proofs import bench
 from tests.proofs.units import UNITS, Unit
 from tests.support.paths import ROOT
 
@@ -137,3 +138,36 @@ def test_units_have_names_of_their_own_and_files_that_exist() -> None:
     for unit in UNITS:
         assert runner.inputs_of(unit), unit.name
         assert [test for test in unit.tests if not (ROOT / test).exists()] == []
+
+
+@pytest.mark.parametrize(
+    ("bounds", "code", "last"),
+    [
+        ([], 0, "twice 2"),
+        (["ours_s<=1"], 0, "ours_s 0.5 (at most 1)"),
+        (["ours_s<=0.4"], 1, "ours_s 0.5 (at most 0.4: NOT KEPT)"),
+        (["twice>=2"], 0, "twice 2 (at least 2)"),
+        (["twice>=2.5", "ours_s<=1"], 1, "ours_s 0.5 (at most 1)"),
+        (["peer_s>=1"], 1, "peer_s nan (at least 1: NOT KEPT)"),
+    ],
+)
+def test_a_benchmark_is_judged_by_its_bounds(
+    bounds: list[str],
+    code: int,
+    last: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    document = {"name": "it", "figures": {"ours_s": 0.5}, "ratios": {"twice": 2.0}}
+    monkeypatch.setattr(bench, "measure", {"it": document}.__getitem__)
+    assert bench.main(["it", *bounds]) == code
+    assert capsys.readouterr().out.splitlines()[-1] == last
+
+
+def test_bounds_of_benchmarks_can_be_read() -> None:
+    for unit in UNITS:
+        if "tests.proofs.bench" in unit.run:
+            bounds = unit.run[unit.run.index("tests.proofs.bench") + 2 :]
+            assert [bench.bound_of(text)[1] for text in bounds], unit.name
+    with pytest.raises(ValueError, match="name>=number"):
+        bench.bound_of("twice=2")

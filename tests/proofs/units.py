@@ -56,8 +56,9 @@ def _matrix(name: str, claim: str, file: str, at_once: int) -> Unit:
     return Unit(name, claim, run, minutes=10)
 
 
-def _bench(name: str, claim: str, minutes: float) -> Unit:
-    return Unit(f"bench-{name}", claim, ("-m", "hil", "bench", name), minutes)
+def _bench(name: str, claim: str, *bounds: str, minutes: float) -> Unit:
+    run = ("-m", "tests.proofs.bench", name, *bounds)
+    return Unit(f"bench-{name}", claim, run, minutes)
 
 
 UNITS = (
@@ -296,14 +297,84 @@ UNITS = (
         "tests/bench/test_startup.py",
         minutes=2,
     ),
-    _bench("startup", "`hil --help` starts about as fast as an empty Python", 1),
-    _bench("mcap", "MCAP is read and written faster than by the reference library", 3),
-    _bench("rtde", "RTDE is read with less of a core than ur-rtde needs", 3),
-    _bench("regressor", "the compiled regressor beats Pinocchio's", 2),
-    _bench("collision", "distances along a path cost a fraction of a search", 2),
-    _bench("predict", "a model predicts in a control cycle", 2),
-    _bench("catalogue", "a thousand runs are listed in a fraction of a second", 3),
-    _bench("interlocks", "judging every sample costs little", 2),
-    _bench("crash", "recovery after kills keeps all that was flushed", 5),
-    _bench("diffnea", "DiffNEA fits sooner than its peer", 5),
+    _bench(
+        "startup",
+        "`import hil` costs half an empty Python more, `hil --help` four imports of numpy",
+        "import_hil_vs_python<=1.5",
+        "hil_help_vs_import_numpy<=4",
+        minutes=1,
+    ),
+    _bench(
+        "mcap",
+        "MCAP is written sooner than by its own library, and read ten times sooner than decoded",
+        "write_vs_mcap_writer>=1",
+        "columnar_vs_iterator_frombuffer>=1",
+        "columnar_vs_ros2_decoder>=10",
+        minutes=3,
+    ),
+    _bench(
+        "rtde",
+        "RTDE is read without a loss and with at most half of what ur-rtde needs of a core",
+        "real_missing<=0",
+        "free_missing<=0",
+        "cpu_vs_ur_rtde>=2",
+        minutes=3,
+    ),
+    _bench(
+        "regressor",
+        "compiled regressors and torques cost half of a loop over Pinocchio or less",
+        "regressor_vs_pinocchio_loop>=2",
+        "base_regressor_vs_pinocchio_reduced>=2",
+        "inverse_dynamics_vs_pinocchio_loop>=2",
+        minutes=1,
+    ),
+    _bench(
+        "collision",
+        "distances along a path cost a fifth of computing each, or less",
+        "path_search_vs_every_sample>=5",
+        minutes=1,
+    ),
+    _bench(
+        "predict",
+        "exported C predicts within 100 µs at the median, ten times sooner than onnxruntime",
+        "memory_portable_p50_ns<=100000",
+        "network_portable_p50_ns<=100000",
+        "lagrangian_portable_p50_ns<=100000",
+        "memory_onnxruntime_over_c>=10",
+        "network_onnxruntime_over_c>=10",
+        "lagrangian_onnxruntime_over_c>=10",
+        minutes=4,
+    ),
+    _bench(
+        "catalogue",
+        "two thousand runs are asked in a second, and in half the time of reading them or less",
+        "query_s<=1",
+        "query_vs_reading>=2",
+        "query_after_one_change_vs_reading>=2",
+        minutes=1,
+    ),
+    _bench(
+        "interlocks",
+        "judging every sample costs a tenth of computing every distance, or less",
+        "blocks_of_1>=10",
+        "blocks_of_16>=10",
+        minutes=1,
+    ),
+    _bench(
+        "crash",
+        "a killed recording can be read and has lost a quarter of a second at most",
+        "unreadable<=0",
+        "unrecovered_runs<=0",
+        "worst_loss_s<=0.25",
+        "worst_loss_plain_writer_vs_recorder>=5",
+        minutes=5,
+    ),
+    _bench(
+        "diffnea",
+        "DiffNEA reaches the least loss that was found, in half the time of L-BFGS or less",
+        "newton_excess<=0.001",
+        "newton_vs_lbfgs>=2",
+        "newton_vs_lbfgs_rows>=2",
+        minutes=5,
+    ),
 )
