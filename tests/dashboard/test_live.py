@@ -96,10 +96,8 @@ def test_a_run_is_answered_paused_resumed_and_stopped_without_any_script(tmp_pat
         post("resume")
         until(lambda: state(run) == "running")
 
-        asked = time.monotonic()
         answer = post("stop")
-        until(lambda: outcome(run), 10)
-        assert time.monotonic() - asked < 2.0  # alone on a computer 0.4 s
+        until(lambda: outcome(run))
         assert (answer.status_code, answer.headers["location"]) == (303, where)
         assert outcome(run) == "stopped"
         until(lambda: not started.alive, 20)
@@ -623,6 +621,10 @@ async def asked(app: Any, path: str, **fields: str) -> int:
     return status
 
 
+HANGS_S = 60.0
+"""How long a plan or a start takes in these tests; who waits for one does not end in half of it."""
+
+
 @pytest.mark.parametrize(("do", "refused"), [("check", 58), ("start", 0)])
 def test_stop_finds_a_thread_while_everybody_plans_or_starts(
     do: str, refused: int, held: Held, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -632,7 +634,7 @@ def test_stop_finds_a_thread_while_everybody_plans_or_starts(
 
     def slow(*_: Any) -> tuple[()]:
         busy.append(1)
-        over.wait(5)
+        over.wait(HANGS_S)
         return ()
 
     def slow_start(*_: Any, **__: Any) -> Any:
@@ -647,27 +649,24 @@ def test_stop_finds_a_thread_while_everybody_plans_or_starts(
     monkeypatch.setattr(start_page, "start_run", slow_start)
     csrf = held.settings.csrf
 
-    async def hurry() -> tuple[float, int, list[int]]:
+    async def hurry() -> tuple[int, list[int]]:
         checks = [
             asyncio.create_task(asked(held.app, "/start", csrf=csrf, spec="a.yaml", do=do))
             for _ in range(60)
         ]
         while not busy:
             await asyncio.sleep(0.01)
-        begin = time.monotonic()
         stopped = await asked(held.app, f"{held.address}/stop", csrf=csrf)
-        took = time.monotonic() - begin
         # The others are told at once, while two are still made.
-        while sum(one.done() for one in checks) < refused and time.monotonic() < begin + 4:
+        while sum(one.done() for one in checks) < refused:
             await asyncio.sleep(0.01)
         told = [one.result() for one in checks if one.done()]
         over.set()
         await asyncio.gather(*checks)
-        return took, stopped, told
+        return stopped, told
 
-    took, stopped, told = asyncio.run(hurry())
+    stopped, told = asyncio.run(asyncio.wait_for(hurry(), HANGS_S / 2))
     assert stopped == 200
-    assert took < 2.0
     assert [one["what"] for one in held.dropped()] == ["stop"]
     assert told == [503] * refused
     assert len(busy) == 60 - refused
@@ -680,30 +679,27 @@ def test_stop_finds_a_thread_while_everybody_goes_on(
 
     def slow(*_: Any, **__: Any) -> Any:
         busy.append(1)
-        over.wait(5)
+        over.wait(HANGS_S)
         return SimpleNamespace(id="1")
 
     monkeypatch.setattr(run_page, "resumption_of", lambda *_: ("", False))
     monkeypatch.setattr(run_page, "go_on_with", slow)
     csrf = held.settings.csrf
 
-    async def hurry() -> tuple[float, int]:
+    async def hurry() -> int:
         path = f"{held.address}/go-on"
         sent = [
             asyncio.create_task(asked(held.app, path, csrf=csrf, once=str(i))) for i in range(60)
         ]
         while len(busy) < THREADS["start"]:  # nobody waits for another's start
             await asyncio.sleep(0.01)
-        begin = time.monotonic()
         stopped = await asked(held.app, f"{held.address}/stop", csrf=csrf)
-        took = time.monotonic() - begin
         over.set()
         await asyncio.gather(*sent)
-        return took, stopped
+        return stopped
 
-    took, stopped = asyncio.run(asyncio.wait_for(hurry(), 10))
+    stopped = asyncio.run(asyncio.wait_for(hurry(), HANGS_S / 2))
     assert stopped == 200
-    assert took < 2.0
     assert len(busy) == 60
 
 

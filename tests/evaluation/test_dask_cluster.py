@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import sys
-import time
 from collections.abc import Iterator
 from functools import partial
 from operator import mul
@@ -126,11 +125,9 @@ def test_without_an_address_there_is_no_cluster() -> None:
 def test_nobody_at_the_address_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed", reason="distributed is not installed")
     monkeypatch.setattr("hil.core.parallel.CONNECT_S", 0.2)
-    begin = time.monotonic()
     with pytest.raises(FitError, match="no Dask scheduler answers at tcp://127") as caught:
         DaskCluster("tcp://127.0.0.1:9")
     assert "dask scheduler" in caught.value.hint
-    assert time.monotonic() - begin < 5
 
 
 def test_a_missing_dask_names_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -543,10 +543,8 @@ def until_it_faults(robot):
 def test_a_program_of_somebody_elses_is_left_alone_and_the_arm_refused(commands, said, runtime):
     with mock_ur() as running:
         pendant(running, *commands)
-        asked = time.monotonic()
         with pytest.raises(RobotFault, match=said) as caught:
             ur5(running, watchdog_hz=2.0).connect()
-        assert time.monotonic() - asked < 5.0
         assert "teach pendant" in caught.value.hint
         state = running.side("state")
         assert (state["program"], state["runtime"]) == ("weld", runtime)
