@@ -16,7 +16,6 @@ export MKL_NUM_THREADS ?= 1
 unexport PYTHONDONTWRITEBYTECODE
 
 OFTEN := journey or not (thorough or wire or matrix or proof)
-CAN_TESTS := tests/can tests/mock/cia402 tests/drivers/cia402 tests/drivers/twincat tests/robot/test_conformance.py
 
 .PHONY: help demo test test-all lint types walls shape proof proof-state fault-matrix gallery fuzz soak bench wheels docs example clean
 
@@ -48,18 +47,12 @@ demo: $(VENV)/.demo ## record, fit, validate and report two programs on the mock
 test: $(VENV)/.dev ## tests of every package, a journey over each protocol: six minutes on two cores
 	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "$(OFTEN)"
 
-# Only files that have a marker are collected. Drives at `pace: free` and their driver take both
-# cores, so nothing that minds the clock runs beside the tests of CAN.
-marked = $$(grep -rlE --include='test_*.py' 'mark\.($(1))' $(2) | sort)
-
+# Only files that have a marker are collected. Tests that wait for sockets and drives leave their core
+# to those that compute, so three run at once on two cores.
 test-all: test ## and all others: every wire test, each fault at one kind of step, exports, commands of the docs
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m "thorough and not (wire or matrix or proof or journey)" \
-	  $(call marked,thorough,tests)
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m "wire and not (proof or journey)" \
-	  $$(printf '%s\n' $(call marked,wire,tests) | grep -vE '^tests/(can|mock/cia402|drivers/cia402|drivers/twincat|robot/test_conformance)')
-	$(BIN)/python -m pytest -m "wire and not (proof or journey)" $(call marked,wire,$(CAN_TESTS))
-	$(BIN)/python -m pytest -n 2 -m "matrix and not (proof or journey)" tests/faults/test_embedded.py tests/faults/test_ur.py
-	$(BIN)/python -m pytest -n 2 -m "matrix and not (proof or journey)" tests/faults/test_can.py
+	$(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder \
+	  -m "(thorough or wire or matrix) and not (proof or journey)" \
+	  $$(grep -rlE --include='test_*.py' 'mark\.(thorough|wire|matrix)' tests | sort)
 
 fault-matrix: $(VENV)/.dev ## the same, and the tables in docs/reference/fault-matrix*.md
 	$(BIN)/python -m tests.faults.table

@@ -9,6 +9,7 @@ from above and from the side.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +20,7 @@ import numpy as np
 from hil.core import FloatArray, card, number, write_replacing
 from hil.dynamics import load_model
 from hil.excitation import Line
-from hil.planning import Plan, Step, preview
+from hil.planning import Plan, Step, preview, recording_bytes
 from hil.report import colours
 from hil.report.curves import decimated, dressed
 from hil.report.matplotlib_figure import draw, following_the_screen, on_sheet
@@ -87,19 +88,18 @@ def plan_card(plan: Plan) -> str:
 
 
 def _heading(plan: Plan) -> tuple[str, str]:
-    facts = preview(plan)
-    counts = facts.steps
-    condition = facts.condition_number
+    counts = Counter(step.kind for step in plan)
+    condition = plan.condition_number
     told = [
         plan.robot_model,
-        f"{facts.waypoints} poses, {counts['dwell']} dwells" if "dwell" in counts else "",
+        f"{plan.waypoints} poses, {counts['dwell']} dwells" if "dwell" in counts else "",
         f"{counts['trajectory']} trajectories" if "trajectory" in counts else "",
         f"{counts['reference']} reference dwells" if "reference" in counts else "",
         f"{counts['weigh']} weighing dwells" if "weigh" in counts else "",
-        f"{facts.duration_s / 60:.1f} min",
-        f"about {facts.recording_bytes / 1e6:.0f} MB",
+        f"{plan.duration_s / 60:.1f} min",
+        f"about {recording_bytes(plan) / 1e6:.0f} MB",
         f"condition number {f'{condition:.1f}' if np.isfinite(condition) else 'infinite'}",
-        f"plan {facts.hash[:12]}",
+        f"plan {plan.hash[:12]}",
     ]
     return plan.name, " · ".join(filter(None, told))
 

@@ -19,6 +19,7 @@ from markupsafe import escape
 from hil.core.files import json_document, json_line, read_json
 from hil.core.lock_file import hold_run
 from hil.core.text import json_text, name_read, name_text, quoted, shell_word, utf8_text
+from hil.dashboard import run_page
 from hil.models.log import damaged
 from hil.recording.run_directory import RunDirectory
 from hil.recording.run_group import FleetGroup, Member
@@ -285,7 +286,10 @@ def test_every_page_of_the_dashboard_is_there_with_all_it_links_to(
 
 
 @pytest.mark.thorough
-def test_stop_is_on_every_page_beside_runs_of_any_name(tmp_path: Path) -> None:
+def test_stop_is_on_every_page_beside_runs_of_any_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run_page, "LISTENS_WITHIN_S", 0.1)
     root = tmp_path / "runs"
     write_run(root, 7)
     with ExitStack() as held:
