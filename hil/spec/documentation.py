@@ -247,6 +247,7 @@ class _WithUnits(GenerateJsonSchema):
         return f"{words} [{unit}]" if unit else words
 
 
+@cache
 def schema_files() -> dict[str, str]:
     """Return the text of every schema file by its name."""
     return {
