@@ -1,9 +1,10 @@
-"""What all tests need: signals that are delivered, whatever happened before."""
+"""What all tests need: signals that are delivered, a checkout left as it was, shared recordings."""
 
 from __future__ import annotations
 
 import os
 import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -34,6 +35,22 @@ def signals_are_heard() -> None:
     for number in WATCHED:
         default = signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL
         signal.signal(number, default)
+
+
+CHECKOUT = Path(__file__).parents[1]
+
+
+def visible() -> set[str]:
+    """Names in the checkout's root; tools keep what they remember in hidden ones."""
+    return {name for name in os.listdir(CHECKOUT) if not name.startswith(".")}
+
+
+@pytest.fixture(autouse=True)
+def nothing_is_left_in_the_checkout() -> Iterator[None]:
+    """Fail a test during which a file appears there; it may be of the test of another worker."""
+    before = visible()
+    yield
+    assert visible() <= before
 
 
 @pytest.fixture(scope="session")

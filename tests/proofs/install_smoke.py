@@ -33,7 +33,8 @@ ROWS = 1500
 NEEDS = {
     "mock": "hil mock ur --help",
     "ur": "from hil_drivers.ur.control import _library; _library('rtde_control')",
-    "can": "from hil.core.plugins import load; load('hil.drivers', 'cia402')",
+    "can": "from hil_drivers.cia402.can_channel import CanChannel, open_bus; "
+    "open_bus(CanChannel('virtual', 'smoke')).shutdown()",
     "ads": "from hil_drivers.twincat.ads import library; library()",
     "learn": "hil fit one.mcap -e lagrangian",
     "web": "hil serve --host nowhere.invalid",
