@@ -165,8 +165,13 @@ DRAWN = "figures"
     [(verb, as_json) for verb in VERBS for as_json in (False, True) if as_json or verb != DRAWN],
 )
 def test_every_verb_ends_as_it_would_with_another_name(
-    verb: str, as_json: bool, places: dict[str, Path]
+    verb: str,
+    as_json: bool,
+    places: dict[str, Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.chdir(tmp_path)  # `plan` draws its picture there
     words = [word.format(**places) for word in f"{verb} {VERBS[verb]}".split(" ")]
     said = hil(*words, *(["--json"] if as_json else []))
     assert said.returncode in (0, 2, 8, 9, 11)
