@@ -299,7 +299,7 @@ UNITS = (
     ),
     _bench(
         "startup",
-        "`import hil` takes at most half a start of Python, `hil --help` at most 4 imports of numpy",
+        "`import hil` takes at most 1.5 starts of Python, `hil --help` 4 imports of numpy",
         "import_hil_vs_python<=1.5",
         "hil_help_vs_import_numpy<=4",
         minutes=1,
