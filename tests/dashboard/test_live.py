@@ -660,15 +660,15 @@ def test_stop_finds_a_thread_while_everybody_plans_or_starts(
         # The others are told at once, while two are still made.
         while sum(one.done() for one in checks) < refused:
             await asyncio.sleep(0.01)
-        told = [one.result() for one in checks if one.done()]
+        answers = [one.result() for one in checks if one.done()]
         over.set()
         await asyncio.gather(*checks)
-        return stopped, told
+        return stopped, answers
 
-    stopped, told = asyncio.run(asyncio.wait_for(hurry(), HANGS_S / 2))
+    stopped, answers = asyncio.run(asyncio.wait_for(hurry(), HANGS_S / 2))
     assert stopped == 200
     assert [one["what"] for one in held.dropped()] == ["stop"]
-    assert told == [503] * refused
+    assert answers == [503] * refused
     assert len(busy) == 60 - refused
 
 

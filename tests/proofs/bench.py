@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from hil.cli.bench import measure
 
@@ -31,19 +31,10 @@ def bound_of(text: str) -> Bound:
     raise ValueError(f"a bound is `name>=number` or `name<=number`, not {text!r}")
 
 
-def line_of(value: float, bound: Bound) -> str:
-    """Return a number beside its bound, and whether it keeps it; NaN keeps none."""
-    name, sign, number = bound
-    kept = value >= number if sign == ">=" else value <= number
-    words = "at least" if sign == ">=" else "at most"
-    return f"{name} {value:.4g} ({words} {number:g}{'' if kept else ': NOT KEPT'})"
-
-
-def judge(numbers: Mapping[str, float], bounds: Sequence[Bound]) -> list[str]:
-    """Return a line for each number, those with a bound last."""
-    bound_names = {name for name, _, _ in bounds}
-    lines = [f"{name} {value:.4g}" for name, value in numbers.items() if name not in bound_names]
-    return lines + [line_of(numbers.get(bound[0], math.nan), bound) for bound in bounds]
+def is_kept(value: float, bound: Bound) -> bool:
+    """Whether a number keeps its bound; NaN keeps none."""
+    _, sign, number = bound
+    return value >= number if sign == ">=" else value <= number
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -51,10 +42,20 @@ def main(arguments: Sequence[str]) -> int:
     name, *texts = arguments
     bounds = [bound_of(text) for text in texts]
     document = measure(name)
-    lines = judge(document["figures"] | document["ratios"], bounds)
-    left_out = (f"{peer} left out: {why}" for peer, why in document.get("skipped", {}).items())
-    sys.stdout.write("\n".join([*left_out, *lines]) + "\n")
-    return int(any(line.endswith("NOT KEPT)") for line in lines))
+    numbers = document["figures"] | document["ratios"]
+    lines = [f"{peer} left out: {why}" for peer, why in document.get("skipped", {}).items()]
+    bounded = {of for of, _, _ in bounds}
+    lines += [f"{of} {value:.4g}" for of, value in numbers.items() if of not in bounded]
+    failed = 0
+    for bound in bounds:
+        of, sign, number = bound
+        value = numbers.get(of, math.nan)
+        kept = is_kept(value, bound)
+        failed += not kept
+        words = "at least" if sign == ">=" else "at most"
+        lines.append(f"{of} {value:.4g} ({words} {number:g}{'' if kept else ': NOT KEPT'})")
+    sys.stdout.write("\n".join(lines) + "\n")
+    return int(failed > 0)
 
 
 if __name__ == "__main__":
