@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from hil.arms import ArmDescription, load_arm
 from hil.core.typing import FloatArray, IntArray
-from hil.dynamics import CollisionModel, Environment, smallest_distance_along_path
+from hil.dynamics import CollisionModel, Environment, smallest_along_paths
 from hil.dynamics.build import model_from_arm
 
 SAMPLES = 560_000
@@ -28,9 +28,7 @@ def run(quick: bool = False) -> dict[str, Any]:
     model = CollisionModel(arm, Environment(table_z=0.0))
     path = clear_program(model, arm, samples)
     every_s, distances = _cpu_s(lambda: model.clearance(path))
-    search_s, least = _cpu_s(
-        lambda: np.array(smallest_distance_along_path(path, model.distances, model.reach))
-    )
+    search_s, least = _cpu_s(lambda: smallest_along_paths([path], model.distances, model.reach)[0])
     if abs(least[0] - distances.min()) > 1e-9:
         raise AssertionError("the path search missed the minimum")
     alone = CollisionModel(arm)
@@ -65,7 +63,7 @@ def clear_program(model: CollisionModel, arm: ArmDescription, samples: int) -> F
     while len(legs) * LEG_SAMPLES < samples:
         goal = random.uniform(arm.excite_min, arm.excite_max)
         leg = at + s * (goal - at)
-        least, _ = smallest_distance_along_path(leg, model.distances, model.reach)
+        (least,) = model.clearances([leg])
         if least >= MARGIN_M:
             legs.append(leg)
             at = goal

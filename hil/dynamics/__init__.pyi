@@ -11,7 +11,7 @@ from .collision import Environment as Environment
 from .collision import FlangeSpace as FlangeSpace
 from .collision import Plane as Plane
 from .collision import payload_capsule as payload_capsule
-from .collision import smallest_distance_along_path as smallest_distance_along_path
+from .collision import smallest_along_paths as smallest_along_paths
 from .dh_from_urdf import Described as Described
 from .dh_from_urdf import described as described
 from .friction import friction_terms as friction_terms

@@ -211,6 +211,13 @@ class CollisionModel:
         """(N,) smallest distance [m] over everything checked, for `q` (N, n); negative inside."""
         return np.asarray(self.distances(q).min(axis=0, initial=np.inf))
 
+    def clearances(self, paths: Sequence[FloatArray], enough: float | None = None) -> FloatArray:
+        """(len(paths),) smallest clearance [m] over all samples (N, n) of each path.
+
+        With `enough` [m] any one of a path's clearances, below `enough` if there is such a one.
+        """
+        return smallest_along_paths(paths, self.distances, self.reach, enough)[0]
+
     def closest(self, q: FloatArray) -> tuple[float, tuple[str, str]]:
         """The smallest distance [m] at `q` (n,) and its two bodies; inf if nothing is checked."""
         distances = self.distances(np.atleast_2d(q))[:, 0]
@@ -484,50 +491,61 @@ TIE_M = 1e-9
 """Improvements smaller than this are ignored [m]."""
 
 
-def smallest_distance_along_path(
-    q: FloatArray, distances: Callable[[FloatArray], FloatArray], reach: FloatArray
-) -> tuple[float, int]:
-    """The smallest of all distances over all samples of a path, and the index of its sample.
+def smallest_along_paths(
+    paths: Sequence[FloatArray],
+    distances: Callable[[FloatArray], FloatArray],
+    reach: FloatArray,
+    enough: float | None = None,
+) -> tuple[FloatArray, IntArray]:
+    """The smallest of all distances over all samples of each path, and the index of its sample.
 
     Between samples a and b that were computed, a distance cannot fall below (d_a + d_b − s) / 2,
     where s is how far its two bodies can have moved against each other: Σ |Δq| times the reach
-    beyond each joint. Where that is not below the smallest distance found so far, the samples
-    between are skipped; elsewhere the one in the middle is computed next.
+    beyond each joint. Where that is not below the smallest distance found so far on the path, the
+    samples between are skipped; elsewhere the one in the middle is computed next.
 
     Args:
-        q: (N, n) positions, N ≥ 1.
+        paths: (N, n) positions each, N ≥ 1.
         distances: Gives (R, N) distances [m] for any positions (N, n).
         reach: (R, n) metres that a distance can change per radian of each joint.
+        enough: Asks only whether each path keeps this distance [m]: found is any one of its
+            distances then, and one below `enough` if there is one.
+
+    Returns:
+        Each (P,): distances [m], and samples counted from the beginning of each path.
 
     Raises:
-        DataError: The path has no samples, or its positions are not finite.
+        DataError: A path has no samples, or its positions are not finite.
     """
-    if len(q) == 0 or not np.isfinite(q).all():
+    if any(len(q) == 0 or not np.isfinite(q).all() for q in paths):
         raise DataError(
             "a path without samples, or with positions that are not finite, has no clearance",
             hint="check the positions of the path",
         )
+    q = np.concatenate(paths)
+    lengths = np.array([len(path) for path in paths])
+    begins, path = np.cumsum(lengths) - lengths, np.repeat(np.arange(len(paths)), lengths)
     turned = np.vstack([np.zeros(q.shape[1]), np.abs(np.diff(q, axis=0)).cumsum(axis=0)])
-    at = np.unique(np.append(np.arange(0, len(q), STRIDE), len(q) - 1))
+    within = np.arange(len(q)) - begins[path]
+    at = np.flatnonzero((within % STRIDE == 0) | (within == lengths[path] - 1))
     found = distances(q[at])
-    least = _least(found, at)
+    nearest = np.full(len(q), np.inf)
     left, right = at[:-1], at[1:]
     d_left, d_right = found[:, :-1], found[:, 1:]
     while True:
+        nearest[at] = found.min(axis=0, initial=np.inf)
+        least = np.minimum.reduceat(nearest, begins)
         moved = reach @ (turned[right] - turned[left]).T
         bound = 0.5 * (d_left + d_right - moved).min(axis=0, initial=np.inf)
-        doubtful = np.flatnonzero((right - left > 1) & (bound < least[0] - TIE_M))
+        unknown = (path[right] == path[left]) & (right - left > 1)
+        sought = least - TIE_M if enough is None else np.where(least < enough, -np.inf, enough)
+        doubtful = np.flatnonzero(unknown & (bound < sought[path[left]]))
         if len(doubtful) == 0:
-            return least
+            samples = [int(some.argmin()) for some in np.split(nearest, begins[1:])]
+            return least, np.array(samples)
         left, right = left[doubtful], right[doubtful]
-        middle = (left + right) // 2
-        found = distances(q[middle])
-        least = min(least, _least(found, middle))
+        at = (left + right) // 2
+        found = distances(q[at])
         d_left = np.hstack([d_left[:, doubtful], found])
         d_right = np.hstack([found, d_right[:, doubtful]])
-        left, right = np.append(left, middle), np.append(middle, right)
-
-
-def _least(found: FloatArray, at: IntArray) -> tuple[float, int]:
-    least = found.min(axis=0, initial=np.inf)
-    return float(least.min()), int(at[least.argmin()])
+        left, right = np.append(left, at), np.append(at, right)

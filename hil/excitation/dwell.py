@@ -96,7 +96,7 @@ class DwellProgram:
     def _visits(self, workspace: Workspace, poses: FloatArray) -> list[tuple[FloatArray, Visit]]:
         """Each of `poses` (m, n) with its visit; their distances are computed in one go."""
         visits = [self._visit(workspace, q, "", -1) for q in poses]
-        workspace.clearances([motion for visit in visits for motion in visit.motions])
+        workspace.keep_clear([motion for visit in visits for motion in visit.motions])
         return list(zip(poses, visits, strict=True))
 
     def _from_file(self, roadmap: Roadmap) -> list[Visit]:

@@ -8,7 +8,7 @@ with intermediate positions: those would be sent to a server on the internet.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, Protocol
 
 import numpy as np
@@ -54,7 +54,7 @@ class Motion(Protocol):
         """JSON form with a `kind` key; floats survive the round trip exactly."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Line:
     """Rest to rest on a straight line in joint space, as fast as the limits allow.
 
@@ -77,7 +77,7 @@ class Line:
     jerk: float
     rate_hz: float
 
-    @property
+    @cached_property
     def distance(self) -> float:
         """Way of the joint that has furthest to go [rad]."""
         return max(abs(b - a) for a, b in zip(self.start, self.goal, strict=True))
@@ -130,7 +130,7 @@ class Line:
     def _profile(self) -> Profile:
         return rest_to_rest(self.distance, self.velocity, self.acceleration, self.jerk)
 
-    @property
+    @cached_property
     def _periods(self) -> int:
         if self.distance < STANDSTILL_RAD:
             return 1

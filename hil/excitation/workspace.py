@@ -31,6 +31,12 @@ class Clearance(Protocol):
     def clearance(self, q: FloatArray) -> FloatArray:
         """(N,) smallest distance [m] at each of `q` (N, n); negative where bodies overlap."""
 
+    def clearances(self, paths: Sequence[FloatArray], enough: float | None = None) -> FloatArray:
+        """(len(paths),) smallest distance [m] over all samples (N, n) of each path.
+
+        With `enough` [m] any one of a path's distances, below `enough` if there is such a one.
+        """
+
     def closest(self, q: FloatArray) -> tuple[float, tuple[str, str]]:
         """The smallest distance [m] at `q` (n,) and between which two bodies."""
 
@@ -130,6 +136,7 @@ class Workspace:
     space: Space | None = None
     _known: dict[Motion, float] = field(default_factory=dict, repr=False)
     _known_depth: dict[Motion, float] = field(default_factory=dict, repr=False)
+    _known_clear: dict[Motion, float] = field(default_factory=dict, repr=False)
 
     def line(self, start: FloatArray, goal: FloatArray) -> Line:
         """The straight way from `start` to `goal`, each (n,)."""
@@ -174,13 +181,24 @@ class Workspace:
 
         Every motion is computed once; asking again costs nothing.
         """
-        return self._least(motions, self.clearance, self._known)
+        return self._least(motions, self.collision.clearances, self._known)
+
+    def keep_clear(self, motions: Sequence[Motion]) -> BoolArray:
+        """Return whether each motion keeps its distance at every sample; (len(motions),).
+
+        Takes less than `clearances`, and asking again costs nothing here either.
+        """
+        kept = self.clearance_m
+        least = self._least(
+            motions, lambda paths: self.collision.clearances(paths, kept), self._known_clear
+        )
+        return np.asarray(least >= kept)
 
     def depths(self, motions: Sequence[Motion]) -> FloatArray:
         """Return the smallest `depth` over every sample of each motion; (len(motions),) [m]."""
         if self.space is None:
             return np.full(len(motions), np.inf)
-        return self._least(motions, self.depth, self._known_depth)
+        return self._least(motions, self._depths, self._known_depth)
 
     def are_clear(self, motions: Sequence[Motion]) -> bool:
         """Whether motions keep their distance at every sample and have their ends within limits."""
@@ -188,7 +206,7 @@ class Workspace:
         return bool(
             self.within_limits(ends).all()
             and np.all(self.depths(motions) >= self.clearance_m)
-            and np.all(self.clearances(motions) >= self.clearance_m)
+            and self.keep_clear(motions).all()
         )
 
     def look_clear(self, starts: FloatArray, goals: FloatArray) -> BoolArray:
@@ -246,17 +264,20 @@ class Workspace:
     def _least(
         self,
         motions: Sequence[Motion],
-        measure: Callable[[FloatArray], FloatArray],
+        measure: Callable[[list[FloatArray]], FloatArray],
         known: dict[Motion, float],
     ) -> FloatArray:
-        """Return the least of `measure` over every sample of each motion, from `known` if there."""
+        """Return what `measure` tells of the samples of each motion, from `known` if there."""
         new = list(dict.fromkeys(motion for motion in motions if motion not in known))
         for some in _in_blocks(new, self.rate_hz):
-            samples = [motion.sample(self.rate_hz).q for motion in some]
-            begins = np.cumsum([0, *map(len, samples[:-1])])
-            least = np.minimum.reduceat(measure(np.concatenate(samples)), begins)
+            least = measure([motion.sample(self.rate_hz).q for motion in some])
             known.update(zip(some, map(float, least), strict=True))
         return np.array([known[motion] for motion in motions])
+
+    def _depths(self, paths: Sequence[FloatArray]) -> FloatArray:
+        """Return the smallest `depth` on each path; (len(paths),) [m]."""
+        begins = np.cumsum([0, *map(len, paths[:-1])])
+        return np.asarray(np.minimum.reduceat(self.depth(np.concatenate(paths)), begins))
 
 
 def _in_blocks(motions: Sequence[Motion], rate_hz: float) -> Iterator[list[Motion]]:

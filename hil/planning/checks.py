@@ -20,7 +20,7 @@ from hil.dynamics import (
     RobotModel,
     base_parameters,
     conditioning,
-    smallest_distance_along_path,
+    smallest_along_paths,
 )
 from hil.excitation import Motion, Space, Workspace, outside
 from hil.planning.plan import Extremes, LoadStep, Step, extremes_of
@@ -372,11 +372,12 @@ def interlock_margins(
 def _least(space: FlangeSpace, steps: Sequence[Step], rate_hz: float) -> tuple[float, str]:
     """The smallest distance of steps that move to a face, and what is wrong with it."""
     paths = [step.motion.sample(rate_hz).q for step in steps if step.motion is not None]
-    found = [smallest_distance_along_path(q, space.distances, space.reach) for q in paths]
-    at, (least, sample) = min(enumerate(found), key=lambda item: item[1][0])
+    found, samples = smallest_along_paths(paths, space.distances, space.reach)
+    at = int(found.argmin())
+    least = float(found[at])
     if least >= 0:
         return least, ""
-    point, face = space.names[int(space.distances(paths[at][[sample]])[:, 0].argmin())]
+    point, face = space.names[int(space.distances(paths[at][[samples[at]]])[:, 0].argmin())]
     place = f"step {steps[at].index} ({steps[at].kind})"
     return least, f"{place} takes the {point} {-1e3 * least:.1f} mm beyond {face}"
 

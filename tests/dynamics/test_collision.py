@@ -19,7 +19,7 @@ from hil.dynamics import (
     Plane,
     RobotModel,
     payload_capsule,
-    smallest_distance_along_path,
+    smallest_along_paths,
 )
 from tests.support.dynamics_arms import UR_ARMS, dh_chain
 
@@ -207,16 +207,36 @@ def test_the_path_search_is_the_least_of_all_samples(seed):
     for around in (Environment(), Environment(-0.2), Environment(0.0, (wall,), (box,))):
         model = CollisionModel(load_arm("ur5"), around)
         every = model.clearance(q)
-        least, index = smallest_distance_along_path(q, model.distances, model.reach)
+        (least,), (index,) = smallest_along_paths([q], model.distances, model.reach)
         assert least == pytest.approx(every.min(), abs=1e-9)
         assert every[index] == least
+
+
+def test_paths_that_are_searched_together_are_told_apart():
+    model = CollisionModel(load_arm("ur5"), Environment(-0.2))
+    q = sampled_path(5)
+    paths = [q[:1], q[1:40], q[40:41], q[41:500], q[500:]]
+    least, index = smallest_along_paths(paths, model.distances, model.reach)
+    alone = [smallest_along_paths([path], model.distances, model.reach) for path in paths]
+    np.testing.assert_array_equal(index, [one[1][0] for one in alone])
+    np.testing.assert_allclose(least, [model.clearance(path).min() for path in paths], atol=1e-9)
+    np.testing.assert_allclose(model.clearances(paths), least, rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_path_search_tells_which_paths_keep_a_distance(seed):
+    model = CollisionModel(load_arm("ur5"), Environment(-0.2))
+    paths = np.split(sampled_path(seed), 20)
+    least = np.array([model.clearance(path).min() for path in paths])
+    for enough in (*np.quantile(least, [0.2, 0.5, 0.8]), least[3], np.nextafter(least[3], 1.0)):
+        np.testing.assert_array_equal(model.clearances(paths, enough) >= enough, least >= enough)
 
 
 def test_the_path_search_finds_a_dip_of_a_single_sample():
     model = CollisionModel(load_arm("ur5"))
     q = np.tile(HOME, (100, 1))
     q[53] = FOLDED
-    least, index = smallest_distance_along_path(q, model.distances, model.reach)
+    (least,), (index,) = smallest_along_paths([q], model.distances, model.reach)
     assert index == 53
     assert least == pytest.approx(model.clearance(FOLDED[None])[0])
 
@@ -227,23 +247,21 @@ def test_the_path_search_skips_what_is_proven_clear():
     distances = model.distances
     model.distances = lambda q: asked.append(len(q)) or distances(q)
     q = sampled_path(7, samples=20000)
-    smallest_distance_along_path(q, model.distances, model.reach)
+    smallest_along_paths([q], model.distances, model.reach)
     assert sum(asked) < 0.1 * len(q)
 
 
 def test_a_path_of_one_sample_is_a_path():
     model = CollisionModel(load_arm("ur5"))
-    assert smallest_distance_along_path(HOME[None], model.distances, model.reach) == (
-        model.clearance(HOME[None])[0],
-        0,
-    )
+    (least,), (index,) = smallest_along_paths([HOME[None]], model.distances, model.reach)
+    assert (least, index) == (model.clearance(HOME[None])[0], 0)
 
 
 @pytest.mark.parametrize("q", [np.empty((0, 6)), np.array([HOME, HOME * np.nan])])
 def test_a_path_that_cannot_be_checked_is_refused(q):
     model = CollisionModel(load_arm("ur5"))
     with pytest.raises(DataError, match="has no clearance"):
-        smallest_distance_along_path(q, model.distances, model.reach)
+        smallest_along_paths([q], model.distances, model.reach)
 
 
 def test_where_nothing_is_checked_nothing_is_close():

@@ -8,7 +8,7 @@ import pytest
 
 from hil.cli.bench import measure
 
-pytestmark = [pytest.mark.proof, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.proof, pytest.mark.timeout(3600)]
 
 SEEDS = (101, 102, 103, 104, 105, 106)
 """Never used to develop or tune anything; development looks at seeds 1 to 9."""

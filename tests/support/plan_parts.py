@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -27,6 +27,9 @@ class JointSpace:
     def clearance(self, q: FloatArray) -> FloatArray:
         self.asked += len(q)
         return np.asarray(self.distance(q), dtype=np.float64)
+
+    def clearances(self, paths: Sequence[FloatArray], enough: float | None = None) -> FloatArray:
+        return np.array([self.clearance(path).min() for path in paths])
 
     def closest(self, q: FloatArray) -> tuple[float, tuple[str, str]]:
         return float(self.clearance(q[None])[0]), ("arm", "drawing")
