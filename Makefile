@@ -47,8 +47,8 @@ demo: $(VENV)/.demo ## record, fit, validate and report two programs on the mock
 test: $(VENV)/.dev ## tests of every package, a journey over each protocol: six minutes on two cores
 	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "$(OFTEN)"
 
-# Only files that have a marker are collected. Tests that wait for sockets and drives leave their core
-# to those that compute, so three run at once on two cores.
+# Only files that have a marker are collected. Tests that wait for sockets or simulated drives use
+# little CPU, so three pytest workers share two cores.
 test-all: test ## and all others: every wire test, each fault at one kind of step, exports, commands of the docs
 	$(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder \
 	  -m "(thorough or wire or matrix) and not (proof or journey)" \

@@ -98,8 +98,8 @@ def export_urdf(model: RobotEstimator, out: Path, *, unchecked: bool = False) ->
             how much.
 
     Raises:
-        FitError: The model is not fitted, has no rigid part or one that no URDF can say, or what is
-            read back is not near what the model says.
+        FitError: The model is not fitted, has no rigid part or one that URDF cannot represent, or
+            torques of the file, read back, differ from the model's by more than the tolerance.
         PluginError: Consistent parameters have to be found and cvxpy is not installed.
         RecordingError: The file exists already, or cannot be made.
     """

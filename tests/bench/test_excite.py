@@ -20,9 +20,12 @@ def test_the_quick_run_tells_of_everybody_from_the_same_starts(
 
 
 @pytest.mark.proof
-@pytest.mark.timeout(900)
-def test_ten_random_starts_are_well_conditioned_within_five_seconds_each() -> None:
-    figures = measure("excite", peers=False)["figures"]
+@pytest.mark.timeout(3600)
+def test_ten_random_starts_end_well_conditioned_sooner_than_those_of_the_peers() -> None:
+    document = measure("excite")
+    figures, ratios = document["figures"], document["ratios"]
+    assert {"condition_vs_slsqp_differences", "cpu_vs_slsqp_differences"} <= ratios.keys()
+    assert min(ratios.values()) > 1, ratios
     assert figures["ours_median_condition"] <= 11.8
     assert figures["ours_worst_condition"] <= 12.8
     assert figures["ours_worst_cpu_s"] <= 5.0

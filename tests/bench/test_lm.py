@@ -1,4 +1,4 @@
-"""`hil bench lm` runs everybody from the same start; how much sooner ours arrives, in the proof."""
+"""`hil bench lm` starts all programs at the same weights; the proof compares their times."""
 
 import subprocess
 import sys

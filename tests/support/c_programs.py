@@ -50,7 +50,7 @@ def require_sanitizers(compiler: str, folder: Path) -> None:
 
 
 def written(source: CSource, folder: Path) -> Path:
-    """The folder, with header and source of a program in it."""
+    """Write `hil.h` and `hil.c` into `folder` and return it."""
     (folder / "hil.h").write_text(source.header, "utf-8")
     (folder / "hil.c").write_text(source.source, "utf-8")
     return folder

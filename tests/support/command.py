@@ -37,7 +37,7 @@ class Said:
 
 
 def hil(*arguments: object, cwd: Path | None = None, **env: str) -> Said:
-    """Return what `hil` prints and its exit code, piped and with no station in the environment.
+    """Run `hil` in this process, with pipes for its streams and no station in the environment.
 
     Args:
         arguments: As on the command line.

@@ -121,7 +121,7 @@ def exact() -> RobotEstimator:
 
 
 def sliding_arm(path: Path = SLIDING) -> RobotModel:
-    """An arm of three joints from its description; by default the middle one slides."""
+    """Return a three-joint arm from a URDF file; joint 2 of the default one is prismatic."""
     return RobotModel.from_urdf(path, rotor_inertia=[0.4, 0.1, 0.2])
 
 

@@ -71,7 +71,7 @@ def traced_efforts(step: Callable[[list[FloatArray]], Any], state_size: int) -> 
 
 
 def json_efforts(document: dict[str, Any]) -> Efforts:
-    """A document's numbers, without what only a network knows."""
+    """Return what computes efforts from an exported JSON file, without parts by networks."""
 
     def efforts(motion: Motion, loads: Loads) -> FloatArray:
         (load,) = set(loads)
@@ -141,7 +141,7 @@ def facts_of(to: str, out: Path) -> dict[str, Any]:
 
 
 def onnx_metadata(path: Path) -> dict[str, str]:
-    """`metadata_props` of an ONNX file."""
+    """Return the `metadata_props` of an ONNX file."""
     import onnx
 
     return {one.key: one.value for one in onnx.load(path).metadata_props}

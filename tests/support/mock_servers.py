@@ -101,7 +101,7 @@ class Fork:
         self.returncode: int | None = None
 
     def wait(self, timeout: float | None = None) -> int:
-        """Return the exit code once it has ended."""
+        """Wait until the mock has ended and return its exit code."""
         if self.returncode is None:
             if not select.select([self._status], [], [], timeout)[0]:
                 raise subprocess.TimeoutExpired(f"mock {self.pid}", timeout or 0.0)
