@@ -49,6 +49,10 @@ def run(quick: bool = False) -> dict[str, Any]:
     figures |= _one_sample(bodies, some)
     peer = figures["us_per_sample_every_sample"]
     ratios = {f"blocks_of_{n}": peer / figures[f"us_per_sample_in_blocks_of_{n}"] for n in BLOCKS}
+    ratios |= {
+        f"blocks_of_{n}_vs_coal": figures["coal_us"] / figures[f"us_per_sample_in_blocks_of_{n}"]
+        for n in BLOCKS
+    }
     ratios["coal_vs_numpy_one_sample"] = figures["numpy_us"] / figures["coal_us"]
     return {"name": "interlocks", "figures": figures, "ratios": ratios}
 

@@ -62,7 +62,9 @@ from .parallel import checked_address as checked_address
 from .parallel import chosen as chosen
 from .parallel import cluster as cluster
 from .parallel import cores as cores
+from .parallel import end_with_parent as end_with_parent
 from .parallel import one_thread as one_thread
+from .parallel import process_context as process_context
 from .parallel import processes as processes
 from .parallel import spread as spread
 from .parallel import spread_over as spread_over

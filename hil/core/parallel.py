@@ -44,27 +44,60 @@ def cores() -> int:
     return os.cpu_count() or 1
 
 
-def processes(workers: int | None = None) -> Executor:
-    """Worker processes, one thread of BLAS and torch each.
+IMPORTED_FIRST = ("scipy.signal", "scipy.optimize", "pinocchio", "threadpoolctl")
+"""What fits import that takes long."""
 
-    They are spawned, not forked: a fork after BLAS or torch ran in the parent hangs.
+
+def process_context() -> Any:
+    """Return the context of `multiprocessing` in which worker processes are started.
+
+    They are forked from a server process that has imported `IMPORTED_FIRST` once for all of them,
+    and in which nothing has run: a fork of a process in which BLAS or torch ran can hang. Where
+    the system has no such server they are spawned.
+    """
+    if "forkserver" not in multiprocessing.get_all_start_methods():
+        return multiprocessing.get_context("spawn")
+    from multiprocessing import forkserver
+
+    multiprocessing.set_forkserver_preload(list(IMPORTED_FIRST))
+    with _blas_variables():
+        forkserver.ensure_running()
+    return multiprocessing.get_context("forkserver")
+
+
+def processes(workers: int | None = None) -> Executor:
+    """Worker processes, one thread of BLAS and torch each; see `process_context`.
 
     Args:
         workers: How many; by default one per core.
     """
     return ProcessPoolExecutor(
         max_workers=workers or cores(),
-        mp_context=multiprocessing.get_context("spawn"),
-        initializer=_one_blas_thread,
+        mp_context=process_context(),
+        initializer=_begin_worker,
+        initargs=(dict(os.environ),),
     )
 
 
-def _one_blas_thread() -> None:
-    """The worker is already importing numpy: limit the loaded libraries, and later ones."""
+def end_with_parent() -> None:
+    """End this worker process when its parent is killed: it would wait for tasks for ever."""
+
+    def wait_for_parent() -> None:
+        parent = multiprocessing.parent_process()
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=wait_for_parent, daemon=True).start()
+
+
+def _begin_worker(environment: Mapping[str, str]) -> None:
+    """Take over the environment; limit the loaded libraries to one thread, and later ones."""
     from threadpoolctl import threadpool_limits
 
-    for variable in BLAS_VARIABLES:
-        os.environ[variable] = "1"
+    end_with_parent()
+    os.environ.clear()
+    os.environ.update(environment, **dict.fromkeys(BLAS_VARIABLES, "1"))
     threadpool_limits(limits=1)
 
 
@@ -98,11 +131,17 @@ def one_thread() -> Iterator[None]:
     """
     from threadpoolctl import threadpool_limits
 
+    with _blas_variables(), threadpool_limits(limits=1), _one_torch_thread():
+        yield
+
+
+@contextlib.contextmanager
+def _blas_variables() -> Iterator[None]:
+    """The environment asks for one thread."""
     before = {name: os.environ.get(name) for name in BLAS_VARIABLES}
     os.environ.update(dict.fromkeys(BLAS_VARIABLES, "1"))
     try:
-        with threadpool_limits(limits=1), _one_torch_thread():
-            yield
+        yield
     finally:
         for name, value in before.items():
             os.environ.pop(name, None)

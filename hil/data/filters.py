@@ -260,7 +260,7 @@ def zero_phase(values: FloatArray, fraction: float, order: int = 5) -> FloatArra
             f"{len(values)} samples are too few for a zero-phase filter of order {order}",
             hint=f"it needs {needed}; leave the series out or lower the order",
         )
-    sections = _low_pass(order, fraction)
+    sections = _low_pass(order, fraction).copy()  # SciPy does not warrant that it only reads them
     filtered: FloatArray = sosfiltfilt(sections, values, axis=0, padlen=needed - 1)
     return filtered
 

@@ -541,11 +541,17 @@ def smallest_along_paths(
         sought = least - TIE_M if enough is None else np.where(least < enough, -np.inf, enough)
         doubtful = np.flatnonzero(unknown & (bound < sought[path[left]]))
         if len(doubtful) == 0:
-            samples = [int(some.argmin()) for some in np.split(nearest, begins[1:])]
-            return least, np.array(samples)
+            break
+        if len(doubtful) > len(q) // 8:  # a distance that never changes: skipping does not pay
+            rest = np.flatnonzero(np.isinf(nearest))
+            for some in np.array_split(rest, 1 + len(rest) // FRAME_BLOCK):
+                nearest[some] = distances(q[some]).min(axis=0, initial=np.inf)
+            break
         left, right = left[doubtful], right[doubtful]
         at = (left + right) // 2
         found = distances(q[at])
         d_left = np.hstack([d_left[:, doubtful], found])
         d_right = np.hstack([found, d_right[:, doubtful]])
         left, right = np.append(left, at), np.append(at, right)
+    samples = np.array([int(some.argmin()) for some in np.split(nearest, begins[1:])])
+    return nearest[begins + samples], samples

@@ -134,9 +134,9 @@ class Workspace:
     rate_hz: float
     condition: Callable[[FloatArray, FloatArray, FloatArray], float] | None = None
     space: Space | None = None
-    _known: dict[Motion, float] = field(default_factory=dict, repr=False)
-    _known_depth: dict[Motion, float] = field(default_factory=dict, repr=False)
-    _known_clear: dict[Motion, float] = field(default_factory=dict, repr=False)
+    _known: dict[Motion, float] = field(default_factory=dict, init=False, repr=False)
+    _known_depth: dict[Motion, float] = field(default_factory=dict, init=False, repr=False)
+    _known_clear: dict[Motion, float] = field(default_factory=dict, init=False, repr=False)
 
     def line(self, start: FloatArray, goal: FloatArray) -> Line:
         """The straight way from `start` to `goal`, each (n,)."""

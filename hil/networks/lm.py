@@ -23,9 +23,6 @@ the same with scikit-learn's contract.
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-import threading
 import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, wait
@@ -35,7 +32,15 @@ from typing import Any, Literal, Protocol, TypeAlias, get_args
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from hil.core import BoolArray, FitError, FloatArray, IntArray, SpecError
+from hil.core import (
+    BoolArray,
+    FitError,
+    FloatArray,
+    IntArray,
+    SpecError,
+    end_with_parent,
+    process_context,
+)
 from hil.estimators import choice, number, require_known, whole
 from hil.networks.mlp import Array, Arrays, Linearised, Mlp, Pass, Precision, arrays_on
 
@@ -69,7 +74,7 @@ def train(
         validation: (X, Y), (X, Y, weight) or (X, Y, weight, groups): rows to stop by.
         seed: For the start weights; network b draws its own from (seed, b).
         initial: Start weights (B, P) instead.
-        jobs: Processes to spread the networks over. They are started by `forkserver` or `spawn`,
+        jobs: Processes to spread the networks over. They are started by `hil.core.process_context`,
             so a script that asks for more than one needs `if __name__ == "__main__":`.
         callback: Called with the `Epoch` of every network.
         **settings: `epochs` (1000), `patience` (epochs without a better validation error until a
@@ -747,9 +752,7 @@ def _joined(results: list[Result]) -> Result:
 
 
 def _spread(tasks: list[Task], jobs: int, callback: Callback | None) -> list[Result]:
-    # Never `fork`: a fork of a process that has used BLAS can hang.
-    known = multiprocessing.get_all_start_methods()
-    context: Any = multiprocessing.get_context("forkserver" if "forkserver" in known else "spawn")
+    context = process_context()
     reports, ended = context.SimpleQueue(), context.Event()
     begin = (reports, ended, callback is not None)
     with ProcessPoolExecutor(jobs, context, _begin_worker, begin) as pool:
@@ -789,7 +792,7 @@ _report: Callable[[Epoch], None] | None = None
 
 
 def _begin_worker(reports: Any, ended: Any, wanted: bool) -> None:
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    end_with_parent()
 
     def report(epoch: Epoch) -> None:
         if ended.is_set():
@@ -799,14 +802,6 @@ def _begin_worker(reports: Any, ended: Any, wanted: bool) -> None:
 
     global _report
     _report = report
-
-
-def _end_with_parent() -> None:
-    """End this worker when its parent is killed: it would wait for tasks for ever."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
 
 
 def _run_in_worker(task: Task) -> Result:

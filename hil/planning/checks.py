@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from hil.arms import ArmDescription, Payload
-from hil.core import FloatArray, KeyPath, PlanError
+from hil.core import BoolArray, FloatArray, KeyPath, PlanError
 from hil.dynamics import (
     FlangeSpace,
     Plane,
@@ -224,7 +224,7 @@ def margins_of(
     """
     motions = [step.motion for step in steps if step.motion is not None]
     distances = workspace.clearances(motions)
-    _require_clear(steps, distances, workspace.clearance_m)
+    _require_clear(steps, workspace.keep_clear(motions), distances, workspace.clearance_m)
     goes = extremes_of(motions, workspace.rate_hz)
     margins = _kinematic(goes, arm, workspace)
     payloads = [load.payload for load in loads]
@@ -234,13 +234,15 @@ def margins_of(
     return {name: max(value, 0.0) for name, value in margins.items()}
 
 
-def _require_clear(steps: Sequence[Step], distances: np.ndarray, clearance_m: float) -> None:
+def _require_clear(
+    steps: Sequence[Step], kept: BoolArray, distances: FloatArray, clearance_m: float
+) -> None:
     moving = [step for step in steps if step.motion is not None]
     close = [
         f"step {step.index} ({step.kind}) comes within {1e3 * distance:.1f} mm of something, "
         f"{1e3 * clearance_m:.1f} mm are required"
-        for step, distance in zip(moving, distances, strict=True)
-        if distance < clearance_m
+        for step, clear, distance in zip(moving, kept, distances, strict=True)
+        if not clear
     ]
     if close:
         more = [f"… and {len(close) - MOST_PROBLEMS} more"] if len(close) > MOST_PROBLEMS else []

@@ -1,16 +1,20 @@
-"""Where fits run in parallel: spawned processes with one BLAS thread each."""
+"""Where fits run in parallel: processes of a clean server, with one BLAS thread each."""
 
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
 
 import pytest
 
 from hil.core.parallel import BLAS_VARIABLES, cores, processes
+from tests.support.waiting import until
 
 
-def test_workers_are_spawned_processes_with_one_blas_thread_each(
+def test_workers_are_other_processes_with_one_blas_thread_each(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     for variable in BLAS_VARIABLES:
@@ -18,9 +22,46 @@ def test_workers_are_spawned_processes_with_one_blas_thread_each(
     with processes(1) as executor:
         assert executor.submit(os.getpid).result() != os.getpid()
         assert isinstance(executor, ProcessPoolExecutor)
-        assert executor._mp_context.get_start_method() == "spawn"
+        assert executor._mp_context.get_start_method() in ("forkserver", "spawn")  # never a fork
         threads = [executor.submit(os.getenv, name).result() for name in BLAS_VARIABLES]
     assert threads == ["1"] * len(BLAS_VARIABLES)
+
+
+def test_workers_have_the_environment_and_the_folder_of_their_caller(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    for number in ("1", "2"):  # the second pool finds the server of the first
+        folder = tmp_path / number
+        folder.mkdir()
+        monkeypatch.chdir(folder)
+        monkeypatch.setenv("HIL_STATION", number)
+        with processes(1) as executor:
+            assert executor.submit(os.getenv, "HIL_STATION").result() == number
+            assert executor.submit(os.getcwd).result() == str(folder)
+
+
+WAITING = """
+import os, signal, sys
+from hil.core.parallel import processes
+
+if __name__ == "__main__":
+    pool = processes(1)
+    print(pool.submit(os.getpid).result(), flush=True)
+    sys.stdin.read()
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="Linux only")
+def test_workers_end_when_their_caller_is_killed(tmp_path: Path) -> None:
+    script = tmp_path / "waiting.py"
+    script.write_text(WAITING, "utf-8")
+    with subprocess.Popen(
+        [sys.executable, str(script)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as caller:
+        assert caller.stdout is not None
+        worker = int(caller.stdout.readline())
+        caller.kill()
+    until(lambda: not Path(f"/proc/{worker}").exists())
 
 
 def test_there_is_a_worker_for_every_core_this_process_may_use() -> None:

@@ -29,7 +29,11 @@ class JointSpace:
         return np.asarray(self.distance(q), dtype=np.float64)
 
     def clearances(self, paths: Sequence[FloatArray], enough: float | None = None) -> FloatArray:
-        return np.array([self.clearance(path).min() for path in paths])
+        every = [self.clearance(path) for path in paths]
+        if enough is None:
+            return np.array([each.min() for each in every])
+        # As a real model may: any distance of a path that keeps it, any too small one otherwise.
+        return np.array([next((d for d in each if d < enough), each[0]) for each in every])
 
     def closest(self, q: FloatArray) -> tuple[float, tuple[str, str]]:
         return float(self.clearance(q[None])[0]), ("arm", "drawing")
