@@ -1,4 +1,4 @@
-"""`hil bench can` measures what it says it does; how fast anything is, is no test."""
+"""`hil bench can` gives the figures that it names; the proof `bench-can` bounds them."""
 
 from __future__ import annotations
 
