@@ -58,11 +58,11 @@ from .notebook import card as card
 from .notebook import number as number
 from .parallel import BLAS_VARIABLES as BLAS_VARIABLES
 from .parallel import TRIES as TRIES
+from .parallel import be_worker as be_worker
 from .parallel import checked_address as checked_address
 from .parallel import chosen as chosen
 from .parallel import cluster as cluster
 from .parallel import cores as cores
-from .parallel import end_with_parent as end_with_parent
 from .parallel import one_thread as one_thread
 from .parallel import process_context as process_context
 from .parallel import processes as processes

@@ -48,20 +48,28 @@ IMPORTED_FIRST = ("scipy.signal", "scipy.optimize", "pinocchio", "threadpoolctl"
 """What fits import that takes long."""
 
 
-def process_context() -> Any:
+def process_context(*modules: str) -> Any:
     """Return the context of `multiprocessing` in which worker processes are started.
 
-    They are forked from a server process that has imported `IMPORTED_FIRST` once for all of them,
-    and in which nothing has run: a fork of a process in which BLAS or torch ran can hang. Where
-    the system has no such server they are spawned.
+    They are forked from a server process that has imported modules once for all of them, and in
+    which nothing has run: a fork of a process in which BLAS or torch ran can hang. Where the
+    system has no such server they are spawned. SIGINT is blocked in them until they unblock it,
+    and their environment is that of the first call.
+
+    Args:
+        modules: What the server imports beside `IMPORTED_FIRST`, if it is not running yet.
     """
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
     from multiprocessing import forkserver
 
-    multiprocessing.set_forkserver_preload(list(IMPORTED_FIRST))
-    with _blas_variables():
-        forkserver.ensure_running()
+    multiprocessing.set_forkserver_preload([*IMPORTED_FIRST, *modules])
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        with _blas_variables():
+            forkserver.ensure_running()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
     return multiprocessing.get_context("forkserver")
 
 
@@ -79,8 +87,13 @@ def processes(workers: int | None = None) -> Executor:
     )
 
 
-def end_with_parent() -> None:
-    """End this worker process when its parent is killed: it would wait for tasks for ever."""
+def be_worker() -> None:
+    """Begin a worker process: it receives Ctrl-C, and ends when its caller is killed.
+
+    It would wait for tasks for ever.
+    """
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
 
     def wait_for_parent() -> None:
         parent = multiprocessing.parent_process()
@@ -95,7 +108,7 @@ def _begin_worker(environment: Mapping[str, str]) -> None:
     """Take over the environment; limit the loaded libraries to one thread, and later ones."""
     from threadpoolctl import threadpool_limits
 
-    end_with_parent()
+    be_worker()
     os.environ.clear()
     os.environ.update(environment, **dict.fromkeys(BLAS_VARIABLES, "1"))
     threadpool_limits(limits=1)

@@ -24,7 +24,16 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hil.core import HilError, Rejected, RobotError, Stopped, errors, exit_code_of, one_thread
+from hil.core import (
+    HilError,
+    Rejected,
+    RobotError,
+    Stopped,
+    errors,
+    exit_code_of,
+    one_thread,
+    process_context,
+)
 from hil.engine import WATCHED, nobody_goes_on
 from hil.estimators import models_below
 from hil.evaluation import verdict_word
@@ -214,11 +223,10 @@ class Workers:
 
     def start(self, i: int, member: Member) -> None:
         """Start the worker of a robot; Ctrl-C at the terminal does not reach it."""
-        context = multiprocessing.get_context("spawn")
+        context = process_context(__name__)
         ours, theirs = context.Pipe(duplex=False)
-        process = context.Process(
-            target=worker_main, args=(self._job(member), theirs), name=member.robot
-        )
+        args = (self._job(member), theirs, dict(os.environ))
+        process = context.Process(target=worker_main, args=args, name=member.robot)
         before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
         try:
             process.start()
@@ -313,13 +321,15 @@ class Job:
     confirmed: Together | None = None
 
 
-def worker_main(job: Job, answer: Connection) -> None:
-    """Do a job and send the answer; the entry of a worker process.
+def worker_main(job: Job, answer: Connection, environment: Mapping[str, str]) -> None:
+    """Do a job in an environment and send the answer; the entry of a worker process.
 
     Ctrl-C is for the process that started this one, which passes it on as SIGTERM. When that
     process dies, the motion is stopped.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.environ.clear()
+    os.environ.update(environment)
     threading.Thread(target=_end_with_parent, name="hil-parent", daemon=True).start()
     with one_thread():
         answer.send(run_job(job))

@@ -38,7 +38,7 @@ from hil.core import (
     FloatArray,
     IntArray,
     SpecError,
-    end_with_parent,
+    be_worker,
     process_context,
 )
 from hil.estimators import choice, number, require_known, whole
@@ -792,7 +792,7 @@ _report: Callable[[Epoch], None] | None = None
 
 
 def _begin_worker(reports: Any, ended: Any, wanted: bool) -> None:
-    end_with_parent()
+    be_worker()
 
     def report(epoch: Epoch) -> None:
         if ended.is_set():

@@ -199,16 +199,16 @@ def test_an_arm_stops_when_its_fleet_is_killed_and_no_run_is_made_twice(tmp_path
 TOLD = {"outcome": "completed"}
 
 
-def stays(job: Job, answer: Connection) -> None:
+def stays(job: Job, answer: Connection, environment: dict[str, str]) -> None:
     """Answers, and goes by SIGTERM."""
     answer.send(TOLD)
     time.sleep(120)
 
 
-def stays_whatever(job: Job, answer: Connection) -> None:
+def stays_whatever(job: Job, answer: Connection, environment: dict[str, str]) -> None:
     """Answers, and goes by SIGKILL alone."""
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    stays(job, answer)
+    stays(job, answer, environment)
 
 
 def one_at_it(folder: Path) -> Workers:
