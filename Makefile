@@ -44,12 +44,12 @@ demo: $(VENV)/.demo ## record, fit, validate and report two programs on the mock
 	$(BIN)/hil runs --runs $(RUNS)
 	@echo 'look at them, and start runs of your own, in a browser: $(BIN)/hil serve'
 
-test: $(VENV)/.dev ## tests of every package, a journey over each protocol: six minutes on two cores
-	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "$(OFTEN)"
+test: $(VENV)/.dev ## tests of every package, a journey over each protocol (six minutes on two cores), or: make test OF=tests/core
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "$(OFTEN)" $(OF)
 
 # Only files that have a marker are collected. Tests that wait for sockets or simulated drives use
 # little CPU, so three pytest workers share two cores.
-test-all: test ## and all others: every wire test, each fault at one kind of step, exports, commands of the docs
+test-all: test ## and all others (25 to 30 minutes): every wire test, each fault at one kind of step, commands of the docs
 	$(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder \
 	  -m "(thorough or wire or matrix) and not (proof or journey)" \
 	  $$(grep -rlE --include='test_*.py' 'mark\.(thorough|wire|matrix)' tests | sort)
@@ -82,8 +82,8 @@ shape: ## packages in order: files, lines, importers per module, import circles 
 proof: $(VENV)/.dev ## proofs whose inputs have changed since they passed, or: make proof UNIT="static ur-programs"
 	$(BIN)/python -m tests.proofs $(UNIT)
 
-proof-state: $(VENV)/.dev ## which proofs are stale
-	@$(BIN)/python -m tests.proofs --list
+proof-state: ## which proofs are stale, and how long they take
+	@$(PYTHON) -m tests.proofs --list
 
 wheels: $(VENV)/.dev ## the wheel in fresh environments: each set of extras under each Python at hand
 	$(BIN)/python -m tests.proofs.install_matrix

@@ -50,7 +50,8 @@ def nothing_is_left_in_the_checkout() -> Iterator[None]:
     """Fail a test during which a file appears there; it may be of the test of another worker."""
     before = visible()
     yield
-    assert visible() <= before
+    left = sorted(visible() - before)
+    assert not left, f"{', '.join(left)} appeared in the checkout; tests write to tmp_path"
 
 
 @pytest.fixture(scope="session")

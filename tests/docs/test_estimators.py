@@ -28,6 +28,7 @@ OURS = [name for name in plugins.names(GROUP) if plugins.load(GROUP, name).__mod
 
 
 def defaults_on_page(title: str) -> dict[str, str]:
+    assert f"\n{title}\n" in PAGE, f"docs/reference/estimators.md has no section {title!r}"
     section = re.split(r"\n#", PAGE.split(f"\n{title}\n")[1])[0]
     rows = re.findall(r"^\| `(\w+)` \| (.+?) \| .{10}", section, re.MULTILINE)
     return {name: default.strip("`") for name, default in rows}

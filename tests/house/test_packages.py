@@ -9,11 +9,21 @@ import sys
 import tarfile
 import tomllib
 import zipfile
+from importlib.metadata import entry_points
 from pathlib import Path
 
 import pytest
 
 from tests.support.paths import ROOT
+
+
+def test_what_pyproject_registers_is_installed() -> None:
+    registered = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    for group, points in registered["entry-points"].items():
+        installed = {point.name: point.value for point in entry_points(group=group)}
+        missing = [name for name, value in points.items() if installed.get(name) != value]
+        assert not missing, f"{group} in pyproject.toml has {missing}: run pip install -e ."
+
 
 # What is built: the source distribution makes the wheel, and that has what the checkout has
 

@@ -8,10 +8,13 @@ Without names those run that are stale (`units.py`), shortest first. A unit's re
 from __future__ import annotations
 
 import argparse
+import contextlib
+import difflib
 import hashlib
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
 import time
@@ -35,7 +38,7 @@ MOST_FIGURES = 12
 _NOISE = re.compile(
     r"[.sFEx]*\s*\[ *\d+%\]|[.sFEx]+|=+.*|-+.*|tests/\S+ .*|bringing up nodes.*|"
     r"(?:platform|rootdir|configfile|plugins|timeout|timeout method|timeout func_only):? .*|"
-    r"(?:created|collecting|collected) .*"
+    r"(?:created|collecting|collected) .*|WARNING: .*"
 )
 
 State = dict[str, dict[str, Any]]
@@ -84,10 +87,26 @@ def digest_of(unit: Unit) -> str:
     return digest.hexdigest()[:16]
 
 
-def is_stale(unit: Unit, state: Mapping[str, Mapping[str, Any]]) -> bool:
-    """Whether a unit has not passed with its inputs as they are now."""
+def last_of(unit: Unit, state: Mapping[str, Mapping[str, Any]]) -> Mapping[str, Any] | None:
+    """Return the last result of a unit; None if it was of another claim, or of other bounds."""
     last = state.get(unit.name)
-    return last is None or not last["passed"] or last["inputs"] != digest_of(unit)
+    same = last is not None and (last["claim"], last["run"]) == (unit.claim, " ".join(unit.run))
+    return last if same else None
+
+
+PASSED = "passed"
+
+
+def standing_of(unit: Unit, state: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return what is known of a unit in a few words; `PASSED` if it is not stale."""
+    last = last_of(unit, state)
+    if last is None:
+        return "never ran"
+    if not last["passed"]:
+        return f"failed at {last['revision']}"
+    if last["inputs"] != digest_of(unit):
+        return f"passed at {last['revision']}, changed since"
+    return PASSED
 
 
 def read_state() -> State:
@@ -109,7 +128,7 @@ def table_of(state: Mapping[str, Mapping[str, Any]]) -> str:
     """Return the Markdown table of all units, and below it what they printed."""
     lines = ["| unit | claim | last run | minutes | result |", "|---|---|---|---|---|"]
     for unit in UNITS:
-        last = state.get(unit.name)
+        last = last_of(unit, state)
         if last is None:
             cells = ("not yet", f"about {unit.minutes:g}", "–")
         else:
@@ -118,7 +137,7 @@ def table_of(state: Mapping[str, Mapping[str, Any]]) -> str:
             cells = (when, f"{last['seconds'] / 60:.1f}", f"{result}: {last['summary']}")
         lines.append(f"| `{unit.name}` | {unit.claim} | " + " | ".join(cells) + " |")
     for unit in UNITS:
-        if unit.name in state and (figures := state[unit.name]["figures"]):
+        if (last := last_of(unit, state)) and (figures := last["figures"]):
             lines += ["", f"## {unit.name}", "", "```text", *figures, "```"]
     return "\n".join(lines)
 
@@ -155,8 +174,21 @@ def revision() -> str:
     return told.stdout.strip() + ("+" if changed.stdout.strip() else "")
 
 
+def end(process: subprocess.Popen[str]) -> None:
+    """End a process and all that it has started; a run that is made in it may hear no signal."""
+    for number in (signal.SIGTERM, signal.SIGKILL):
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, number)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(5.0)
+
+
 def run_unit(unit: Unit, state: State) -> bool:
-    """Run a unit, write down what came of it, and return whether it passed."""
+    """Run a unit, write down what came of it, and return whether it passed.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C; the unit's processes are ended, and nothing is written.
+    """
     inputs, tested, began = digest_of(unit), revision(), time.monotonic()
     sys.stdout.write(f"\n== {unit.name}: {unit.claim} (about {unit.minutes:g} min)\n")
     sys.stdout.flush()
@@ -168,14 +200,19 @@ def run_unit(unit: Unit, state: State) -> bool:
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
+        start_new_session=True,
     ) as process:
         assert process.stdout is not None
         output = ""
-        for line in process.stdout:
-            output += line
-            sys.stdout.write(line)
-            sys.stdout.flush()
-        code = process.wait()
+        try:
+            for line in process.stdout:
+                output += line
+                sys.stdout.write(line)
+                sys.stdout.flush()
+            code = process.wait()
+        except KeyboardInterrupt:
+            end(process)
+            raise
     summary = summary_of(output, code)
     # What was skipped, for want of an extra, of data or of a quiet computer, has not been shown.
     words = f" {summary}"
@@ -187,6 +224,8 @@ def run_unit(unit: Unit, state: State) -> bool:
     state |= read_state()  # another call may have ended units meanwhile
     state[unit.name] = {
         "passed": shown,
+        "claim": unit.claim,
+        "run": " ".join(unit.run),
         "summary": summary,
         "revision": tested,
         "inputs": inputs,
@@ -202,7 +241,7 @@ def run_unit(unit: Unit, state: State) -> bool:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the units that are named, or those that are stale; return 1 if one of them failed."""
     parser = argparse.ArgumentParser(
-        prog="python -m tests.proofs", description=(__doc__ or "")[:72]
+        prog="python -m tests.proofs", description="Run proofs and remember what they showed."
     )
     parser.add_argument(
         "units", nargs="*", help="names of units; without any, those that are stale"
@@ -211,17 +250,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     by_name = {unit.name: unit for unit in UNITS}
     if unknown := sorted(set(given.units) - set(by_name)):
-        parser.error(f"no unit {', '.join(unknown)}; there are {', '.join(by_name)}")
+        close = [near for name in unknown for near in difflib.get_close_matches(name, by_name, 1)]
+        guess = f"; did you mean {' or '.join(close)}?" if close else ""
+        parser.error(f"no unit {', '.join(unknown)}{guess} `make proof-state` lists them")
     state = read_state()
+    standings = {unit.name: standing_of(unit, state) for unit in UNITS}
+    stale = [unit for unit in UNITS if standings[unit.name] != PASSED]
     if given.list:
         for unit in UNITS:
-            stale = "stale" if is_stale(unit, state) else "passed"
-            sys.stdout.write(f"{unit.name:18} {stale:7} {unit.minutes:4g} min  {unit.claim}\n")
+            what = f"{unit.name:16} {standings[unit.name]:34} {unit.minutes:3g} min"
+            sys.stdout.write(f"{what}  {unit.claim}\n")
+        minutes = sum(unit.minutes for unit in stale)
+        sys.stdout.write(f"{len(stale)} of {len(UNITS)} are stale: {minutes / 60:.1f} h\n")
         return 0
-    chosen = [by_name[name] for name in given.units] or sorted(
-        (unit for unit in UNITS if is_stale(unit, state)), key=lambda unit: unit.minutes
-    )
-    failed = [unit.name for unit in chosen if not run_unit(unit, state)]
+    chosen = [by_name[name] for name in given.units] or sorted(stale, key=lambda one: one.minutes)
+    failed: list[str] = []
+    for unit in chosen:
+        try:
+            failed += [] if run_unit(unit, state) else [unit.name]
+        except KeyboardInterrupt:
+            sys.stdout.write(f"\ninterrupted; nothing is recorded of {unit.name}\n")
+            return 130
     sys.stdout.write(f"\n{len(chosen) - len(failed)} of {len(chosen)} units passed")
     sys.stdout.write(f"; failed: {', '.join(failed)}\n" if failed else "\n")
     return 1 if failed else 0

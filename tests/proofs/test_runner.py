@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import re
+import subprocess
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -11,6 +14,7 @@ from tests.proofs import __main__ as runner
 from tests.proofs import bench
 from tests.proofs.units import UNITS, Unit
 from tests.support.paths import ROOT
+from tests.support.waiting import until
 
 MARK = "mark." + "proof"
 
@@ -39,7 +43,8 @@ def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def stale() -> list[str]:
     state = runner.read_state()
-    return [unit.name for unit in runner.UNITS if runner.is_stale(unit, state)]
+    standings = {unit.name: runner.standing_of(unit, state) for unit in runner.UNITS}
+    return [name for name, standing in standings.items() if standing != runner.PASSED]
 
 
 def test_what_has_passed_is_stale_only_when_an_input_changes(checkout: Path) -> None:
@@ -96,10 +101,62 @@ def test_the_table_has_every_unit_and_what_it_printed(checkout: Path) -> None:
     assert "## odd\n\n```text\nratio 3.5\n```" in page
 
 
+def test_another_claim_has_not_been_shown(
+    checkout: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert runner.main([]) == 0
+    good, odd = runner.UNITS
+    monkeypatch.setattr(runner, "UNITS", (replace(good, claim="one is two"), odd))
+    assert stale() == ["good"]
+    runner.write_state(runner.read_state())
+    assert "| `good` | one is two | not yet | about 1 | – |" in runner.PAGE.read_text("utf-8")
+    assert runner.main(["--list"]) == 0
+    assert "1 of 2 are stale" in capsys.readouterr().out
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="Linux only")
+def test_ctrl_c_ends_all_processes_of_a_unit_and_records_nothing(
+    checkout: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    deaf = "import signal, subprocess, sys, time; signal.signal(signal.SIGINT, signal.SIG_IGN); "
+    child = f"{deaf}print('there', flush=True); time.sleep(600)"
+    parent = f"{deaf}subprocess.run([sys.executable, '-c', {child!r}])"
+    monkeypatch.setattr(runner, "UNITS", (Unit("waits", "it waits", ("-c", parent), 1.0),))
+    started: list[subprocess.Popen[str]] = []
+
+    class Starting(subprocess.Popen[str]):
+        def __init__(self, *args: Any, **kwargs: Any) -> None:
+            super().__init__(*args, **kwargs)
+            started.append(self)
+
+    def interrupted(text: str) -> int:
+        if "there" in text:
+            raise KeyboardInterrupt
+        return len(text)
+
+    monkeypatch.setattr(runner.subprocess, "Popen", Starting)
+    with monkeypatch.context() as patched:
+        patched.setattr(runner.sys.stdout, "write", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            runner.run_unit(runner.UNITS[0], {})
+    group = started[-1].pid
+    until(lambda: not any(_group_of(stat) == group for stat in Path("/proc").glob("[0-9]*/stat")))
+    assert stale() == ["waits"]
+
+
+def _group_of(stat: Path) -> int:
+    """Return the process group of a process that has not ended; 0 otherwise."""
+    try:
+        state, _, group = stat.read_text("utf-8").rpartition(")")[2].split()[:3]
+    except OSError:
+        return 0
+    return 0 if state == "Z" else int(group)
+
+
 def test_a_unit_that_does_not_exist_is_named(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         runner.main(["statics"])
-    assert "no unit statics" in capsys.readouterr().err
+    assert "no unit statics; did you mean static?" in capsys.readouterr().err
 
 
 def test_the_committed_table_is_of_the_committed_state() -> None:
