@@ -143,7 +143,13 @@ class RigidDiffnea(RigidLinear):
         """Take over what `fitted_arrays` and `fitted_facts` wrote."""
         super().restore(arrays, facts)
         self.inertial_, self.gear_rigid_ = arrays["inertial"], arrays["gear_rigid"]
-        require_sizes(self, gear_rigid=self._base.rank, inertial=11 * self.robot_.n)
+        own = self.robot_.n * len(self._joint_terms())
+        require_sizes(
+            self,
+            gear_rigid=self._base.rank,
+            inertial=11 * self.robot_.n,
+            coefficients=self._base.rank + own,
+        )
 
     def _joint_terms(self) -> tuple[str, ...]:
         form = FORMS[self.friction]

@@ -205,7 +205,9 @@ class StaticFriction(StaticModel):
         self.period_ = float(facts["period_s"])
         super().restore(arrays, facts)
         self._take_names(self.parameter_names_, tuple(facts["terms"]))
-        if int(self._alive.sum()) != len(self.coefficients_) - len(self._form.names):
+        still = np.zeros((1, self.robot_.n))
+        lacks = {*self._dry(), *self._drive_terms(still, still)} - set(self._names)
+        if lacks or int(self._alive.sum()) != len(self.coefficients_) - len(self._form.names):
             raise ValueError(f"terms: {facts['terms']!r:.60}")
 
     def _dry(self) -> tuple[str, ...]:

@@ -389,7 +389,10 @@ def arrays_of(networks: Trained) -> dict[str, FloatArray]:
 def networks_from(mlp: Mlp, arrays: dict[str, FloatArray]) -> Trained:
     """Inverse of `arrays_of`; how the training went is not in it."""
     scaling = Scaling(**{name: arrays[f"network.{name}"] for name in _SCALING})
-    return Trained(mlp, arrays["network.weights"], scaling)
+    weights = arrays["network.weights"]
+    if weights.shape[1:] != (mlp.n_weights,) or scaling.input_mean.shape[1:] != (mlp.inputs,):
+        raise ValueError(f"network.weights: their shape is not that of a network {mlp}")
+    return Trained(mlp, weights, scaling)
 
 
 def held_out_poses(dwells: Dataset, percent: float, seed: int) -> tuple[Dataset, Dataset | None]:

@@ -119,7 +119,7 @@ def open_unfinished(path: Path) -> Unfinished:
     experiment = load_experiment(path / "spec.yaml", path / "station.yaml")
     # The copy in the run describes that station: its robots have the same leases.
     experiment = replace(experiment, station_source=str(start.get("station", "")))
-    require_same_arm(start.get("robot", {}), path, "run the experiment again")
+    require_same_arm(_recorded_robot(directory), path, "run the experiment again")
     _require_same("plan.json", "plan_hash", start, plan.hash)
     _require_same("spec.yaml", "spec_hash", start, spec_hash(experiment.spec))
     complete = completeness_of(plan, directory.recordings)
@@ -345,6 +345,21 @@ SAME_IDENTITY = ("model", "serial", "firmware", "driver")
 """Keys of `start.json:robot`, and of its `identity`, that must be as they were."""
 
 
+def _recorded_robot(directory: RunDirectory) -> Mapping[str, Any]:
+    """Return the robot of a run, from its start document; empty in runs of an older hil.
+
+    Raises:
+        DataError: The document is damaged there.
+    """
+    robot = directory.start.get("robot", {})
+    if not isinstance(robot, Mapping) or not isinstance(robot.get("identity", {}), Mapping):
+        raise DataError(
+            f"{directory.path / 'start.json'} does not say which robot the run is of",
+            hint="run the experiment again",
+        )
+    return robot
+
+
 def require_same_robot(directory: RunDirectory, robot: Mapping[str, Any]) -> None:
     """Raise if a robot is not the one of a run: their samples in one dataset describe neither.
 
@@ -354,8 +369,9 @@ def require_same_robot(directory: RunDirectory, robot: Mapping[str, Any]) -> Non
 
     Raises:
         PreflightFailed: It is another robot.
+        DataError: The start document is damaged.
     """
-    recorded = directory.start.get("robot", {})
+    recorded = _recorded_robot(directory)
     pairs = {key: (recorded.get(key), robot[key]) for key in SAME_ROBOT}
     was, now = recorded.get("identity", {}), robot["identity"]
     pairs |= {key: (was.get(key), now[key]) for key in SAME_IDENTITY}

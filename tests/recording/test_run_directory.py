@@ -510,6 +510,15 @@ def test_damaged_document(name: str, data: st.DataObject) -> None:
         assert_viewable(root, quick_run(root, {file: as_json(document)}))
 
 
+@pytest.mark.parametrize("robot", [None, [], {"identity": None}])
+def test_a_run_whose_robot_is_not_told_is_not_resumed(robot: Any) -> None:
+    file = names_of("start.json")
+    with quick_folder() as root:
+        run = quick_run(root, {file: as_json(json.loads(whole_run()[file]) | {"robot": robot})})
+        with pytest.raises(DataError, match="does not say which robot the run is of"):
+            open_unfinished(run)
+
+
 @examples(12)
 @given(data=st.data())
 def test_several_documents_damaged_or_missing(data: st.DataObject) -> None:

@@ -534,6 +534,7 @@ class Pair(RuleBasedStateMachine):
 
     @rule()
     def reset(self) -> None:
+        self.want(Goal.OFF, 1)  # the driver resets axes that it keeps off
         for _ in range(200):
             self.cycle(controlword_resetting(self.state, self.word))
             if self.one.state is DISABLED:
