@@ -442,6 +442,10 @@ class StaticHysteresis(StaticFriction):
         """Take over what `fitted_arrays` and `fitted_facts` wrote."""
         super().restore(arrays, facts)
         penalties = [float(penalty) for penalty in facts["correction_penalty"]]
+        if penalties and len(penalties) != self.robot_.n:
+            raise ValueError(
+                f"correction_penalty: {len(penalties)} values for {self.robot_.n} joints"
+            )
         self.penalty_ = np.array(penalties)
         kept = {name: arrays[f"correction_{name}"] for name in (_ARRAYS if penalties else ())}
         self._corrections = tuple(

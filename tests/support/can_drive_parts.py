@@ -21,6 +21,9 @@ STEPS = 4
 
 PP, HM, CSP, CSV, CST = 1, 6, 8, 9, 10
 
+FASTEST_RAD_S = 10.0
+"""What a motor reaches without a load, whatever its torque."""
+
 
 class OneDrive:
     """A drive on a joint without dynamics: it follows set-points, and turns freely by torque."""
@@ -111,7 +114,8 @@ class OneDrive:
             self.q = q - self.lag
             self.speeds.extend(demand.setpoints[:, 1].tolist())
         else:
-            self.qd += demand.torque / self.inertia * steps * STEP_S
+            faster = self.qd + demand.torque / self.inertia * steps * STEP_S
+            self.qd = min(max(faster, -FASTEST_RAD_S), FASTEST_RAD_S)
             self.q += self.qd * steps * STEP_S
 
     def _measured(self, torque: float) -> Measured:

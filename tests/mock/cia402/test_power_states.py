@@ -402,6 +402,8 @@ class Walk(RuleBasedStateMachine):
         self.commands.add(command_in(word, last))
         self.word = word
         self.one.set(keys.CONTROLWORD, word)
+        if self.one.state in POWERED:
+            self.unpowered = 0
         self.shows_its_state()
         overrides = before is ENABLED and command_in(word) in (
             Command.QUICK_STOP,
@@ -484,6 +486,8 @@ class Walk(RuleBasedStateMachine):
         for key, value in ((keys.QUICK_STOP_OPTION, 2), (keys.MODE, 8)):
             one.set(key, value)
         one.tell(0x00, cycles=500)
+        if one.state is REACTING:  # a set-point that jumped is braked from an impossible speed
+            one.until(FAULT, most=20_000)
         one.q = 0.3  # wherever it ran to: inside its limits
         one.tell(0x80)
         assert one.state is DISABLED
