@@ -17,10 +17,10 @@ from hil.models.drift import FALSE_ALARM, causes, chart_of
 from hil.models.drift_features import Features
 from tests.proofs.null_probes import FIRST_SEED, probes
 
-ROBOTS, PROBES, WORN = 20, 50, 3
+ROBOTS, PROBES, WORN = 10, 50, 3
 NAME = "shoulder_lift_joint friction"
 
-pytestmark = [pytest.mark.proof, pytest.mark.timeout(5400)]
+pytestmark = [pytest.mark.proof, pytest.mark.timeout(10800)]
 
 
 def called_changed(found: list[Features], sigma: list[float], rate: float) -> list[bool]:

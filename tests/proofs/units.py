@@ -135,7 +135,7 @@ UNITS = (
     ),
     _tests(
         "drift-null",
-        "a thousand probes of unchanged robots raise at most the stated rate of alarms",
+        "five hundred probes of unchanged robots raise at most the stated rate of alarms",
         "tests/proofs/test_drift_null.py",
         minutes=30,
     ),
