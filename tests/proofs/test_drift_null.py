@@ -1,4 +1,4 @@
-"""A thousand probes of robots that have not changed: how many are called changed?
+"""Five hundred probes of robots that have not changed: how many are called changed?
 
 Twenty mock robots, each identified once by the shipped program and probed by the shipped probe, in
 rooms from 14 to 30 °C; every run begins cold and warms up, by which friction falls as much as by
