@@ -131,7 +131,7 @@ UNITS = (
         "the recorder loses nothing at 500 Hz, keeps its memory, and kills cost 0.25 s at most",
         "tests/proofs/test_recording.py",
         "tests/recording/test_recovery.py",
-        minutes=5,
+        minutes=2,
     ),
     _tests(
         "drift-null",
