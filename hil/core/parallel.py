@@ -52,18 +52,19 @@ def process_context(*modules: str) -> Any:
     """Return the context of `multiprocessing` in which worker processes are started.
 
     They are forked from a server process that has imported modules once for all of them, and in
-    which nothing has run: a fork of a process in which BLAS or torch ran can hang. Where the
-    system has no such server they are spawned. SIGINT is blocked in them until they unblock it,
-    and their environment is that of the first call.
+    which nothing has run: a fork of a process in which BLAS or torch ran can hang. SIGINT is
+    blocked in them until they unblock it, and their environment is that of the first call. Where
+    the system has no such server they are spawned.
 
     Args:
         modules: What the server imports beside `IMPORTED_FIRST`, if it is not running yet.
     """
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
-    from multiprocessing import forkserver
+    from multiprocessing import forkserver, resource_tracker
 
     multiprocessing.set_forkserver_preload([*IMPORTED_FIRST, *modules])
+    resource_tracker.ensure_running()  # whose start unblocks SIGINT
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     try:
         with _blas_variables():

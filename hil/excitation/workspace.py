@@ -267,7 +267,7 @@ class Workspace:
         measure: Callable[[list[FloatArray]], FloatArray],
         known: dict[Motion, float],
     ) -> FloatArray:
-        """Return what `measure` tells of the samples of each motion, from `known` if there."""
+        """Return `measure` of the samples of each motion, from `known` where it is there."""
         new = list(dict.fromkeys(motion for motion in motions if motion not in known))
         for some in _in_blocks(new, self.rate_hz):
             least = measure([motion.sample(self.rate_hz).q for motion in some])

@@ -227,11 +227,7 @@ class Workers:
         ours, theirs = context.Pipe(duplex=False)
         args = (self._job(member), theirs, dict(os.environ))
         process = context.Process(target=worker_main, args=args, name=member.robot)
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
-        try:
-            process.start()
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        process.start()
         theirs.close()
         self.running[ours] = (i, process)
         if self.stopping:  # the signal came while it was started

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import subprocess
 import sys
@@ -41,7 +42,7 @@ def test_workers_have_the_environment_and_the_folder_of_their_caller(
 
 
 WAITING = """
-import os, signal, sys
+import os, sys
 from hil.core.parallel import processes
 
 if __name__ == "__main__":
@@ -62,6 +63,33 @@ def test_workers_end_when_their_caller_is_killed(tmp_path: Path) -> None:
         worker = int(caller.stdout.readline())
         caller.kill()
     until(lambda: not Path(f"/proc/{worker}").exists())
+
+
+MASKED = """
+import signal
+from hil.core.parallel import process_context
+
+def tell(answer):
+    answer.send(signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, []))
+
+if __name__ == "__main__":
+    context = process_context()
+    for _ in range(2):
+        ours, theirs = context.Pipe(duplex=False)
+        context.Process(target=tell, args=(theirs,)).start()
+        print(ours.recv())
+    print(signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, []))
+"""
+
+
+@pytest.mark.skipif(
+    "forkserver" not in multiprocessing.get_all_start_methods(), reason="workers are spawned here"
+)
+def test_workers_begin_with_ctrl_c_blocked_and_their_caller_does_not(tmp_path: Path) -> None:
+    script = tmp_path / "masked.py"
+    script.write_text(MASKED, "utf-8")
+    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True)
+    assert done.stdout.split() == ["True", "True", "False"], done.stderr
 
 
 def test_there_is_a_worker_for_every_core_this_process_may_use() -> None:

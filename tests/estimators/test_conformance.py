@@ -386,6 +386,23 @@ def test_facts_of_another_kind_are_refused_or_harmless(case: str, to: object) ->
         assert is_harmless(case, found), key
 
 
+@each_estimator
+def test_a_document_that_lacks_a_parameter_is_refused_or_read(case: str) -> None:
+    document = json.loads(stored(case)[0])
+    for key in document["parameters"]:
+        left = {name: value for name, value in document["parameters"].items() if name != key}
+        outcome(case, json.dumps(document | {"parameters": left}).encode(), stored(case)[1])
+
+
+@each_estimator
+def test_a_document_with_a_list_cut_short_is_refused_or_read(case: str) -> None:
+    document = json.loads(stored(case)[0])
+    for key, value in document["fitted"].items():
+        if isinstance(value, list) and len(value) > 1:
+            cut = document["fitted"] | {key: value[:-1]}
+            outcome(case, json.dumps(document | {"fitted": cut}).encode(), stored(case)[1])
+
+
 @pytest.mark.thorough
 @each_estimator
 @examples(5)

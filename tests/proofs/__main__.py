@@ -184,10 +184,10 @@ def end(process: subprocess.Popen[str]) -> None:
 
 
 def run_unit(unit: Unit, state: State) -> bool:
-    """Run a unit, write down what came of it, and return whether it passed.
+    """Run a unit, record its result, and return whether it passed.
 
     Raises:
-        KeyboardInterrupt: Ctrl-C; the unit's processes are ended, and nothing is written.
+        KeyboardInterrupt: Ctrl-C; the unit's processes are ended, and nothing is recorded.
     """
     inputs, tested, began = digest_of(unit), revision(), time.monotonic()
     sys.stdout.write(f"\n== {unit.name}: {unit.claim} (about {unit.minutes:g} min)\n")

@@ -64,12 +64,12 @@ def test_it_completes_over_real_sockets_without_a_gap(three: dict[str, Any]) -> 
 def test_its_models_agree_with_the_embedded_ones_within_the_noise(three: dict[str, Any]) -> None:
     runs = {name: Path(three[name]["run"]) for name in ("wire", "embedded", "other")}
     data = hil.dataset(runs["wire"]).of_kind(three["kind"])
-    own = hil.dataset(runs["embedded"]).of_kind(three["kind"])
+    recorded = hil.dataset(runs["embedded"]).of_kind(three["kind"])
     models = {name: _models(run) for name, run in runs.items()}
     for estimator, embedded in models["embedded"].items():
-        told = {name: fitted[estimator].predict(data).effort for name, fitted in models.items()}
-        noise = _rms(own.columns["effort"] - embedded.predict(own).effort)
-        off, usual = _rms(told["wire"] - told["embedded"]), _rms(told["other"] - told["embedded"])
+        predicted = {name: own[estimator].predict(data).effort for name, own in models.items()}
+        noise = _rms(recorded.columns["effort"] - embedded.predict(recorded).effort)
+        off, usual = (_rms(predicted[name] - predicted["embedded"]) for name in ("wire", "other"))
         print(f"{three['kind']}, {estimator}: residual {noise} A; embedded runs differ by "  # noqa: T201
               f"{usual} A, the wire by {off} A")  # fmt: skip
         assert (off <= 0.25 * noise).all(), estimator
