@@ -544,7 +544,7 @@ def smallest_along_paths(
         least = np.minimum.reduceat(nearest, begins)
         moved = reach @ (turned[right] - turned[left]).T
         bound = 0.5 * (d_left + d_right - moved).min(axis=0, initial=np.inf)
-        unknown = (path[right] == path[left]) & (right - left > 1)
+        unknown = right - left > 1
         sought = least - TIE_M if enough is None else np.where(least < enough, -np.inf, enough)
         doubtful = np.flatnonzero(unknown & (bound < sought[path[left]]))
         if len(doubtful) == 0:

@@ -65,16 +65,27 @@ def test_what_has_passed_is_stale_only_when_an_input_changes(checkout: Path) -> 
         assert stale() == []
 
 
-def test_a_proof_whose_tests_were_all_skipped_has_shown_nothing(
-    checkout: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("more", ["", "\ndef test_more():\n    pass\n"], ids=["all", "one"])
+def test_a_proof_whose_tests_were_skipped_has_not_passed(
+    more: str, checkout: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (checkout / "test_it.py").write_text(
-        "import pytest\n\ndef test_it():\n    pytest.skip('no torch')\n"
+        f"import pytest\n\ndef test_it():\n    pytest.skip('no torch')\n{more}"
     )
     unit = Unit("skips", "it works", ("-m", "pytest", "test_it.py"), 1.0)
     monkeypatch.setattr(runner, "UNITS", (unit,))
     assert runner.main([]) == 1
     assert stale() == ["skips"]
+
+
+def test_a_proof_whose_inputs_were_changed_meanwhile_has_not_passed(
+    checkout: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    edits = ("-c", "open('hil/core/a.py', 'w').write('2')")
+    monkeypatch.setattr(runner, "UNITS", (Unit("edits", "it edits", edits, 1.0),))
+    assert runner.main([]) == 1
+    assert "changed meanwhile" in runner.read_state()["edits"]["summary"]
+    assert stale() == ["edits"]
 
 
 def test_a_failure_is_remembered_and_runs_again(
