@@ -34,6 +34,10 @@ from typing import Any
 from hil.core import plugins
 from hil.core.errors import FitError, SpecError
 
+HAS_FORKSERVER = "forkserver" in multiprocessing.get_all_start_methods()
+if HAS_FORKSERVER:
+    from multiprocessing import forkserver, resource_tracker
+
 BLAS_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -59,10 +63,8 @@ def process_context(*modules: str) -> Any:
     Args:
         modules: What the server imports beside `IMPORTED_FIRST`, if it is not running yet.
     """
-    if "forkserver" not in multiprocessing.get_all_start_methods():
+    if not HAS_FORKSERVER:
         return multiprocessing.get_context("spawn")
-    from multiprocessing import forkserver, resource_tracker
-
     multiprocessing.set_forkserver_preload([*IMPORTED_FIRST, *modules])
     resource_tracker.ensure_running()  # whose start unblocks SIGINT
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
