@@ -1,6 +1,6 @@
 """Five hundred probes of robots that have not changed: how many are called changed?
 
-Twenty mock robots, each identified once by the shipped program and probed by the shipped probe, in
+Ten mock robots, each identified once by the shipped program and probed by the shipped probe, in
 rooms from 14 to 30 °C; every run begins cold and warms up, by which friction falls as much as by
 the wear that is looked for. Every probe counts, the first ones under a champion too.
 """
