@@ -189,8 +189,8 @@ def _require_joints_within(where: str, unit: str, values: FloatArray, most: Floa
     if (highest > most * SPEED_SLACK).any():
         joint = int((highest - most).argmax())
         raise refused(
-            f"{where} moves joint {joint} at {highest[joint]:.3f} {unit}, {most[joint]:.3f} are "
-            "allowed"
+            f"{where} moves joint {joint + 1} at {highest[joint]:.3f} {unit}, {most[joint]:.3f} "
+            "are allowed"
         )
 
 

@@ -1,9 +1,11 @@
 """A motion streamed to the drives: a segment becomes a `Track`, the `Player` plays it row by row.
 
 Everything a cycle needs is computed before the motion begins: `track_of` checks a segment and turns
-it into the drives' integers, with the torque of a rigid-body model where it is sent along. In the
-cycle the player takes the next row, brakes on the rest of the way when it is stopped, and holds
-where the motion ended. A stop slows time down along the path, so all joints stay on it.
+it into the drives' integers, with the torque of a rigid-body model where it is sent along. If the
+segment begins a little beside the held set-point, the track first goes there, in `REACHED_S` or
+longer. In the cycle the player takes the next row, brakes on the rest of the way when it is
+stopped, and holds where the motion ended. A stop slows time down along the path, so all joints stay
+on it; of the torque, what moves the arm falls with the square of the pace, what holds it stays.
 
 In CSP the drives close the position loop and get positions (with a torque offset, if wanted). In
 CSV and CST the master closes it: `velocities` and `torques` compare what an axis shows now with the
@@ -43,21 +45,23 @@ class Track:
         position: (N, n) of 607Ah, N ≥ 1; begins where the drives hold.
         velocity: (N, n) of 60FFh.
         torque: (N, n) feed-forward, ‰ as 6071h and 60B2h.
+        holding: (N, n) what would hold the arm still there, in the same unit.
     """
 
     segment: int
     position: IntArray
     velocity: IntArray
     torque: IntArray
+    holding: IntArray
 
     @cached_property
-    def rows(self) -> list[tuple[list[int], list[int], list[int]]]:
-        """Position, velocity and torque row by row, as plain integers."""
-        columns = (self.position.tolist(), self.velocity.tolist(), self.torque.tolist())
-        return list(zip(*columns, strict=True))
+    def rows(self) -> list[tuple[list[int], list[int], list[int], list[int]]]:
+        """Position, velocity, torque and holding torque row by row, as plain integers."""
+        columns = (self.position, self.velocity, self.torque, self.holding)
+        return list(zip(*(column.tolist() for column in columns), strict=True))
 
-    def between(self, at: float) -> tuple[list[int], list[int], list[int]]:
-        """Position, velocity and torque at a place between rows, counted from 0."""
+    def between(self, at: float) -> tuple[list[int], list[int], list[int], list[int]]:
+        """Return a row at a place between rows, counted from 0."""
         row = int(at)
         last = len(self.rows) - 1
         if row >= last:
@@ -67,11 +71,11 @@ class Track:
             wrapped(p + round(share * wrapped(q - p)))
             for p, q in zip(here[0], there[0], strict=True)
         ]
-        velocity, torque = (
+        velocity, torque, holding = (
             [round(p + share * (q - p)) for p, q in zip(here[i], there[i], strict=True)]
-            for i in (1, 2)
+            for i in (1, 2, 3)
         )
-        return position, velocity, torque
+        return position, velocity, torque, holding
 
     def steps_at(self, at: float) -> list[int]:
         """Increments of position per row from a place on; zeros at the end."""
@@ -83,18 +87,19 @@ class Track:
         ]
 
 
-AT_SET_POINT_RAD = 1e-4
-"""Set-points are followed without being smoothed: farther away, a segment's begin is reached first.
+BEGINS_WITHIN_RAD = 1e-4
+"""Drives follow set-points without smoothing them: a segment may begin this far from the held one.
 """
 
 GIVEN_RAD = 2e-3
-"""A brake gives when its axis is switched on, after the plan was made from where the arm stood: so
-much is made good before the first motion. Between motions it would hide a mistake."""
+"""A brake may give when its axis is switched on, after the plan was made. Before the first motion
+this much is corrected; between motions a correction would hide a mistake."""
 
 LED_RAD = 0.05
 """Led by a spring (CST, CSV), an arm rests beside its set-point, where friction keeps it."""
 
 REACHED_S = 0.4
+"""Least time in which a track goes to the begin of its segment."""
 
 
 def track_of(
@@ -117,36 +122,48 @@ def track_of(
         rate_hz: Rows per second of device time.
         scaling: Of the drives.
         model: Says the feed-forward torque; none is sent without.
-        led: The master leads the joints; its begin may be farther from there.
+        led: The master closes the position loop; the segment may begin `LED_RAD` from there.
         first: Nothing has moved since the axes were switched on; a brake may have given.
 
     Raises:
         CommandRefused: It leaves the limits, jumps, begins elsewhere or moves at its ends.
     """
     moves = segment.kind != "hold"
-    tolerance = LED_RAD if led else GIVEN_RAD if first and moves else AT_SET_POINT_RAD
+    tolerance = LED_RAD if led else GIVEN_RAD if first and moves else BEGINS_WITHIN_RAD
     require_executable(segment, limits, standing, at_set_point_rad=tolerance)
     require_smooth(segment, limits, rate_hz)
     q, qd, qdd = segment.q, segment.qd, segment.qdd
-    if np.abs(q[0] - standing).max() > AT_SET_POINT_RAD:
-        way = _way(standing, q[0], rate_hz)
-        q, qd, qdd = (np.vstack(pair) for pair in zip(way, (q, qd, qdd), strict=True))
-    torque = np.zeros_like(q) if model is None else model.torque(q, qd, qdd)
+    if np.abs(q[0] - standing).max() > BEGINS_WITHIN_RAD:
+        approach = _approach(standing, q[0], limits, rate_hz)
+        q, qd, qdd = (np.vstack(pair) for pair in zip(approach, (q, qd, qdd), strict=True))
+    torque = holding = np.zeros_like(q)
+    if model is not None:
+        torque, holding = model.torque(q, qd, qdd), model.holding(q)
     return Track(
         segment=segment.index,
         position=scaling.raw_position(q),
         velocity=scaling.raw_velocity(qd),
         torque=scaling.raw_torque(torque),
+        holding=scaling.raw_torque(holding),
     )
 
 
-def _way(start: FloatArray, end: FloatArray, rate_hz: float) -> tuple[FloatArray, ...]:
-    """(N, n) positions, velocities, accelerations from rest to rest by a polynomial of degree 5."""
-    t = np.arange(round(REACHED_S * rate_hz))[:, None] / round(REACHED_S * rate_hz)
+def _approach(
+    start: FloatArray, end: FloatArray, limits: Limits, rate_hz: float
+) -> tuple[FloatArray, ...]:
+    """Return (N, n) positions, velocities, accelerations from rest to rest within the limits.
+
+    The polynomial of degree 5 has its highest speed, 15/8 of the mean one, in the middle, and its
+    highest acceleration, 10/√3 of way / time², at (3 ± √3) / 6 of the time.
+    """
     way = end - start
+    fast = (15 / 8 * np.abs(way) / limits.qd_max).max()
+    sharp = np.sqrt((10 / math.sqrt(3) * np.abs(way) / limits.qdd_max).max())
+    rows = math.ceil(max(REACHED_S, fast, sharp) * rate_hz)
+    lasts_s, t = rows / rate_hz, np.arange(rows)[:, None] / rows
     q = start + way * (10 * t**3 - 15 * t**4 + 6 * t**5)
-    qd = way * (30 * t**2 - 60 * t**3 + 30 * t**4) / REACHED_S
-    qdd = way * (60 * t - 180 * t**2 + 120 * t**3) / REACHED_S**2
+    qd = way * (30 * t**2 - 60 * t**3 + 30 * t**4) / lasts_s
+    qdd = way * (60 * t - 180 * t**2 + 120 * t**3) / lasts_s**2
     return q, qd, qdd
 
 
@@ -154,7 +171,7 @@ ACCELERATION_SLACK = 1.10
 """Second differences of sampled polynomials and rounded positions may be that much more."""
 
 ROUNDING_RAD = 1e-8
-"""Of a position; second differences see four of it."""
+"""Rounding error of a position; second differences add up to four of it."""
 
 
 def require_smooth(segment: Segment, limits: Limits, rate_hz: float) -> None:
@@ -175,8 +192,8 @@ def require_smooth(segment: Segment, limits: Limits, rate_hz: float) -> None:
     if (too_fast := np.flatnonzero(speed > limits.qd_max * SPEED_SLACK)).size:
         joint = int(too_fast[0])
         raise refused(
-            f"{_where(segment)} has set-points of joint {joint} that are {speed[joint]:.3f} rad/s "
-            f"apart, {limits.qd_max[joint]:.3f} are allowed"
+            f"{_where(segment)} has set-points of joint {joint + 1} that are {speed[joint]:.3f} "
+            f"rad/s apart, {limits.qd_max[joint]:.3f} are allowed"
         )
     # At rest before the first row and after the last one: a segment that sets out or ends at
     # speed bends there.
@@ -191,8 +208,8 @@ def _too_sharp(segment: Segment, bends: FloatArray, most: FloatArray) -> Command
     row, joint = np.unravel_index(int((bends / most).argmax()), bends.shape)
     place = {0: "sets out", len(bends) - 1: "ends"}.get(int(row), f"bends at row {row}")
     return refused(
-        f"{_where(segment)} {place} with {bends[row, joint]:.1f} rad/s² of joint {joint} by its "
-        f"positions, {most[joint]:.3f} are allowed"
+        f"{_where(segment)} {place} with {bends[row, joint]:.1f} rad/s² of joint {joint + 1} by "
+        f"its positions, {most[joint]:.3f} are allowed"
     )
 
 
@@ -201,10 +218,11 @@ def _where(segment: Segment) -> str:
 
 
 BEHIND = LATENCY + 1
-"""Cycles from writing a set-point to the answer that shows it: it is sent in the next one."""
+"""Cycles from `step` to the answer that shows its set-point: one until it is sent, then `LATENCY`.
+"""
 
-BEGINS_WITHIN_RAD = 1e-4
 LONGEST_STOP_S = 5.0
+"""A gentler deceleration than this takes is not waited for: the arm brakes harder."""
 MOVING, HOLDING = int(Status.MOVING), int(Status.HOLDING)
 
 
@@ -241,7 +259,7 @@ class Player:
         self._at, self._pace, self._slower = 0.0, 1.0, 0.0
         self._fade = Fade(len(self.scale), period_s)
         self.mode = 0
-        self._told: deque[tuple[list[int], list[int]]] = deque(maxlen=BEHIND + 1)
+        self._commanded: deque[tuple[list[int], list[int]]] = deque(maxlen=BEHIND + 1)
         self.segment, self.status = -1, 0
         self._at_rest([0] * len(self.scale), [0] * len(self.scale))
 
@@ -254,7 +272,7 @@ class Player:
         """Keep the next motion for `start`; from any thread.
 
         Raises:
-            CommandRefused: It does not begin where the arm is held.
+            CommandRefused: It is for another number of axes.
         """
         first = track.rows[0][0]  # makes all rows, in the thread that has time for it
         if len(first) != len(self.scale):
@@ -316,7 +334,7 @@ class Player:
             if self._track is not None:
                 self._advance(self._track)
         outputs.segment, outputs.status = self.segment, self.status
-        self._told.append((self.position, self.velocity))
+        self._commanded.append((self.position, self.velocity))
         if self.mode == od.CSP:
             outputs.target_position[:] = self.position
             if self._feed_forward:
@@ -341,46 +359,52 @@ class Player:
         rows = track.rows
         if not self._slower:
             at = int(self._at)
-            self.position, self.velocity, self.torque = rows[at]
+            self.position, self.velocity, self.torque, holding = rows[at]
             self._at = at + 1.0
         else:
-            self._brake(track)
+            holding = self._brake(track)
         self.status = MOVING
         if self._at >= len(rows) or not self._pace:
-            self._rest_here()
+            self._rest_here(holding)
 
-    def _brake(self, track: Track) -> None:
+    def _brake(self, track: Track) -> list[int]:
         # `_at` is the row to come; the one commanded last is a whole step behind it.
         before, self._pace = self._pace, max(self._pace - self._slower, 0.0)
         passed = self._at - 1.0 + 0.5 * (before + self._pace)
-        self.position, velocity, self.torque = track.between(max(passed, 0.0))
+        self.position, velocity, torque, holding = track.between(passed)
         self.velocity = [round(v * self._pace) for v in velocity]
+        share = self._pace**2
+        self.torque = [h + round(share * (m - h)) for m, h in zip(torque, holding, strict=True)]
         self._at = passed + 1.0
+        return holding
 
     def _fastest(self, track: Track, at: float) -> float:
         """Of all joints, per cycle [rad]."""
-        steps = track.steps_at(max(at, 0.0))
+        steps = track.steps_at(at)
         return max(abs(step) * by for step, by in zip(steps, self.scale, strict=True))
 
-    def _rest_here(self) -> None:
+    def _rest_here(self, holding: list[int]) -> None:
         self._track = None
+        if holding != self.torque:  # it ends with an acceleration
+            self._fade.begin(self._fade.faded(self.torque), holding)
+            self.torque = holding
         self.velocity = [0] * len(self.scale)
         self.status = HOLDING if self.mode else 0
 
     def _at_rest(self, position: Sequence[int], torque: Sequence[int]) -> None:
         self.position, self.torque = list(position), list(torque)
         self.velocity = [0] * len(self.scale)
-        self._told.clear()
+        self._commanded.clear()
         self._fade.end()
 
     def _led(self, inputs: Inputs) -> list[int]:
         assert self._gains is not None, "CSV needs gains"
-        return velocities(self._gains, self.velocity, self._told[0][0], inputs)
+        return velocities(self._gains, self.velocity, self._commanded[0][0], inputs)
 
     def _controlled(self, inputs: Inputs) -> list[int]:
         assert self._gains is not None, "CST needs gains"
         torque = self._fade.faded(self.torque)
-        return torques(self._gains, torque, *self._told[0], inputs)
+        return torques(self._gains, torque, *self._commanded[0], inputs)
 
     def _refuse_now(self, track: Track) -> None:
         where = f"segment {track.segment}"
@@ -470,8 +494,8 @@ What is commanded now acts two cycles later: at 250 Hz about 10 ms with the hold
 loop of 4 Hz, critically damped, then keeps a phase margin of some 45°; harder ones ring."""
 
 INERTIA_SHARE = 0.1
-"""Least inertia of a joint, rotor included, in terms of effort_max / qdd_max of the arm: with more
-of it the loop gets softer and rings a little, with less it would not be stable."""
+"""Smallest inertia assumed of a joint, rotor included, as a share of effort_max / qdd_max.
+A heavier joint gets a softer loop, which rings a little; a lighter one would be unstable."""
 
 KV_PER_S = 8.0
 """In CSV, velocity per error of position [1/s]."""
@@ -490,7 +514,7 @@ def gains_of(
     kp, kd, limit, kv = [], [], [], []
     for axis, drive in enumerate(drives):
         profile = drive.profile
-        stiffness, damping = _joint(given[axis], arm, axis)
+        stiffness, damping = _spring_and_damper(given[axis], arm, axis)
         kp.append(stiffness * profile.rad_per_increment / profile.nm_per_count)
         kd.append(damping * profile.rad_s_per_count / profile.nm_per_count)
         kv.append(KV_PER_S * profile.rad_per_increment / profile.rad_s_per_count)
@@ -500,7 +524,9 @@ def gains_of(
     return Gains(tuple(kp), tuple(kd), tuple(limit), tuple(kv))
 
 
-def _joint(given: Mapping[str, Any], arm: ArmDescription, axis: int) -> tuple[float, float]:
+def _spring_and_damper(
+    given: Mapping[str, Any], arm: ArmDescription, axis: int
+) -> tuple[float, float]:
     """Return spring [N·m/rad] and damper [N·m·s/rad]; a given spring determines the damper."""
     inertia = INERTIA_SHARE * float(arm.effort_max[axis] / arm.qdd_max[axis])
     stiffness = float(given.get("stiffness_nm_rad", inertia * LOOP_RAD_S**2))
@@ -509,12 +535,12 @@ def _joint(given: Mapping[str, Any], arm: ArmDescription, axis: int) -> tuple[fl
 
 
 def velocities(
-    gains: Gains, velocity: Sequence[int], shown: Sequence[int], inputs: Inputs
+    gains: Gains, velocity: Sequence[int], due: Sequence[int], inputs: Inputs
 ) -> list[int]:
-    """CSV: the motion's velocity, led by the positions that are to show by now."""
+    """Return velocities in CSV: the motion's, corrected towards the positions due by now."""
     return [
         _within(ahead + round(kv * wrapped(wanted - is_at)), _MOST_VELOCITY)
-        for ahead, kv, wanted, is_at in zip(velocity, gains.kv, shown, inputs.position, strict=True)
+        for ahead, kv, wanted, is_at in zip(velocity, gains.kv, due, inputs.position, strict=True)
     ]
 
 
@@ -525,7 +551,7 @@ def torques(
     velocity: Sequence[int],
     inputs: Inputs,
 ) -> list[int]:
-    """Return torques in CST: feed-forward, with spring and damper to the present set-point."""
+    """Return torques in CST: feed-forward, with spring and damper to the set-point due by now."""
     return [
         _within(
             round(

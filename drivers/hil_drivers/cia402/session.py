@@ -196,7 +196,8 @@ class Session:
             return
         scaling, position = self.drives.scaling, np.array([self.player.position])
         torque = scaling.raw_torque(self.torque.holding(scaling.position(position)))
-        self.core.prepare(Track(self.player.segment, position, np.zeros_like(position), torque))
+        at_rest = np.zeros_like(position)
+        self.core.prepare(Track(self.player.segment, position, at_rest, torque, holding=torque))
         self.core.start()
 
     def findings(self, model: TorqueModel) -> Iterator[Finding]:

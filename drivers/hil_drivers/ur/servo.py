@@ -252,8 +252,9 @@ class MotionThread(threading.Thread):
         self._lag.note(now, q)
         if self._lag.lost(row["target_q"]):
             off = self._lag.off(row["target_q"])
+            joint = int(off.argmax())
             raise RobotFault(
-                f"joint {int(off.argmax())} is led {off.max():.4f} rad beside the path at device "
+                f"joint {joint + 1} is led {off[joint]:.4f} rad beside the path at device "
                 f"time {now:.3f} s, {options.lag_rad:g} rad are allowed",
                 hint="is the speed slider at 100 %? else raise gain, or lag_s and lag_rad",
             )

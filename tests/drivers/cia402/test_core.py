@@ -80,7 +80,7 @@ class Station:
         """Begin a motion of so many rows from where the arm is held."""
         position = np.array(self.player.position) + step * np.arange(rows)[:, None]
         zeros = np.zeros_like(position)
-        self.core.prepare(Track(4, position, zeros, zeros))
+        self.core.prepare(Track(4, position, zeros, zeros, zeros))
         self.core.start()
 
     def come_to_rest(self) -> None:

@@ -111,7 +111,7 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
 def test_motion_is_followed_and_every_cycle_recorded(bench: Bench) -> None:
     position = 1000 * np.arange(1, N + 1) + 50 * np.arange(60)[:, None]
     zeros = np.zeros_like(position)
-    bench.core.prepare(Track(3, position, zeros, zeros))
+    bench.core.prepare(Track(3, position, zeros, zeros, zeros))
     bench.core.start()
     until = time.monotonic() + 10.0
     while bench.player.moving:

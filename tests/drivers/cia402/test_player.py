@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -16,14 +18,17 @@ RAD = 1e-6
 WRAP = 1 << 32
 
 
-def track(position: object, segment: int = 5, torque: object = 0) -> Track:
+def track(position: object, segment: int = 5, torque: object = 0, holding: object = None) -> Track:
     """A motion of two axes from the positions of the first; the second goes half as far."""
     first = np.asarray(position, dtype=np.int64)
     both = np.stack((first, first // 2), axis=1)
     both = (both + WRAP // 2) % WRAP - WRAP // 2
     velocity = np.gradient(both, axis=0) / PERIOD_S if len(both) > 1 else np.zeros_like(both)
-    torques = np.broadcast_to(np.asarray(torque), both.shape).astype(np.int64)
-    return Track(segment, both, velocity.astype(np.int64), torques)
+    torques, held = (
+        np.broadcast_to(np.asarray(each), both.shape).astype(np.int64)
+        for each in (torque, torque if holding is None else holding)
+    )
+    return Track(segment, both, velocity.astype(np.int64), torques, held)
 
 
 class Play:
@@ -205,7 +210,7 @@ def test_positions_may_wrap_on_the_way() -> None:
     play = Play(start=top)
     play.player.engage(CSP, play.outputs)
     motion = track(top + np.arange(2000) * 4000)
-    motion = Track(5, np.repeat(motion.position[:, :1], 2, axis=1), motion.velocity, motion.torque)
+    motion = replace(motion, position=np.repeat(motion.position[:, :1], 2, axis=1))
     play.outputs.target_position[:] = [top, top]
     play.player.engage(CSP, play.outputs)
     play.begin(motion)
@@ -254,6 +259,28 @@ def test_feed_forward_begins_without_a_step() -> None:
     assert said[0] <= 2
     assert max(np.diff(said)) <= 3
     assert said.index(200) * PERIOD_S == pytest.approx(FADE_S, rel=0.05)
+
+
+def test_torque_that_moves_the_arm_goes_as_it_brakes_and_what_holds_it_stays() -> None:
+    play = Play(feed_forward=True)
+    play.begin(track(np.arange(2000) * 4000, torque=200, holding=50))
+    play.steps(200)
+    play.player.stop(2.0)
+    braked = []
+    while play.player.moving:
+        braked.append(play.step().torque_offset[0])
+    assert np.max(np.abs(np.diff([200, *braked]))) <= 3
+    assert np.max(np.diff(braked)) <= 0
+    assert [play.step().torque_offset[0] for _ in range(3)] == [50] * 3
+
+
+def test_a_motion_that_ends_with_an_acceleration_is_held_without_its_torque() -> None:
+    play = Play(feed_forward=True)
+    play.begin(track(np.arange(300), torque=200, holding=50))
+    play.steps(300)
+    said = [play.step().torque_offset[0] for _ in range(round(FADE_S / PERIOD_S) + 1)]
+    assert np.max(np.abs(np.diff([200, *said]))) <= 3
+    assert said[-1] == 50
 
 
 GAINS = Gains(kp=(0.1, 0.1), kd=(0.01, 0.01), limit=(300.0, 300.0), kv=(2.0, 2.0))

@@ -213,7 +213,7 @@ def test_a_segment_becomes_set_points_of_the_drives():
     ("asked", "said"),
     [
         (segment(np.full((2, 6), 0.003)), "begins 0.0030 rad from where the arm stands"),
-        (segment([[0.0] * 6, [0.0] * 5 + [0.1]]), "joint 5 that are 25.000 rad/s apart"),
+        (segment([[0.0] * 6, [0.0] * 5 + [0.1]]), "joint 6 that are 25.000 rad/s apart"),
         (segment([[0.0] * 6, [0.0] * 5 + [7.0]]), "joint range"),
     ],
 )
@@ -237,8 +237,8 @@ def zigzag(step):
 @pytest.mark.parametrize(
     ("asked", "said"),
     [
-        (segment(zigzag(0.03)), "bends at row 1 with 3750.0 rad/s² of joint 5 by its positions"),
-        (segment(ramp(0.03)), "(sets out|ends) with 1875.0 rad/s² of joint 5"),
+        (segment(zigzag(0.03)), "bends at row 1 with 3750.0 rad/s² of joint 6 by its positions"),
+        (segment(ramp(0.03)), "(sets out|ends) with 1875.0 rad/s² of joint 6"),
         (segment(np.minimum(ramp(0.02), 0.4)), "with 1250.0 rad"),
         (segment(ramp(0.001), kind="hold"), "a hold has one"),
     ],
@@ -277,6 +277,15 @@ def test_an_arm_led_by_a_spring_first_goes_to_where_the_segment_begins():
     assert q[-1] == pytest.approx(asked.q[-1], abs=1e-7)
     assert np.abs(np.diff(q, axis=0)).max() * 250.0 < 0.2
     assert SCALING.velocity(made.velocity) == pytest.approx(np.gradient(q, axis=0) * 250, abs=5e-3)
+
+
+def test_the_way_to_the_begin_of_a_segment_keeps_the_limits():
+    asked, limits = segment(np.full((2, 6), 0.05)), limits_of("lab6")
+    slow = replace(limits, qd_max=0.1 * np.ones(6), qdd_max=0.5 * np.ones(6))
+    made = track_of(asked, slow, np.zeros(6), 250.0, SCALING, None, led=True)
+    q = SCALING.position(made.position)
+    assert np.abs(np.diff(q, axis=0)).max() * 250.0 <= 0.1
+    assert np.abs(np.diff(q, 2, axis=0)).max() * 250.0**2 <= 0.51
 
 
 def test_what_a_brake_gave_since_the_plan_was_made_is_made_good_first():

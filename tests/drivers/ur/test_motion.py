@@ -233,7 +233,7 @@ def test_an_arm_that_does_not_follow_is_stopped(fake):
     process = fake("no_follow", lag_s=0.1, lag_rad=0.02)
     process.connect()
     begin(process, led(0.5))
-    with pytest.raises(RobotFault, match="joint 5 is led"):
+    with pytest.raises(RobotFault, match="joint 6 is led"):
         wait_until_over(process)
     assert "servoStop" in fake.commands()
 

@@ -198,7 +198,7 @@ def segment(q, qd=0.0, kind="move", speed=0.5, acceleration=1.0):
         (segment([[0.0] * 5 + [6.3]]), "joint range"),
         (segment([[0.1] * 6]), "begins 0.1000 rad from"),
         (segment([[0.0] * 6], qd=0.5), "begin and end at rest"),
-        (segment([[0.0] * 6], qd=4.0), "joint 0 at 4.000 rad/s"),
+        (segment([[0.0] * 6], qd=4.0), "joint 1 at 4.000 rad/s"),
         (segment([[0.0] * 6], speed=3.5), "3.500 rad/s"),
         (segment([[0.0] * 6], acceleration=50.0), "50.0 rad/s²"),
     ],
