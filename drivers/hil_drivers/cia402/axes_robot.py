@@ -26,10 +26,10 @@ from hil_drivers.cia402.can_bus import CanBus
 from hil_drivers.cia402.commissioning import declare
 from hil_drivers.cia402.mapping import MAPPINGS
 from hil_drivers.cia402.options import options_of
-from hil_drivers.cia402.player import track_of
 from hil_drivers.cia402.rows import raw_topic
 from hil_drivers.cia402.session import NEXT, Session
 from hil_drivers.cia402.torque import GRAVITY, TorqueModel
+from hil_drivers.cia402.track import track_of
 
 GAINS_SOURCE = "rated torque and current of the drives (6075h, 6076h) times gear, or the station's"
 

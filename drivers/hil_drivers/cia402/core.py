@@ -36,10 +36,11 @@ from hil.core import (
 from hil_drivers.cia402.bus import Cyclic, Inputs, Outputs
 from hil_drivers.cia402.mapping import Mapping
 from hil_drivers.cia402.options import LATE_CYCLES_SIMULATED
-from hil_drivers.cia402.player import Player, Track, farthest
+from hil_drivers.cia402.player import Player, farthest
 from hil_drivers.cia402.rows import LATE, STALLED, cycle_dtype
 from hil_drivers.cia402.supervisor import Phase, Supervisor
 from hil_drivers.cia402.timing import TOLD_AFTER_S, Schedule, Stalls, realtime
+from hil_drivers.cia402.track import Track
 
 POLL_S = 0.002
 FIRST_ANSWER_S = 2.0

@@ -57,16 +57,18 @@ from hil_drivers.cia402.commissioning import (
     unwatch,
 )
 from hil_drivers.cia402.core import Core
+from hil_drivers.cia402.gains import gains_of
 from hil_drivers.cia402.mapping import MAPPINGS
 from hil_drivers.cia402.mapping import Mapping as PdoMapping
 from hil_drivers.cia402.objects import Entry, error_text
 from hil_drivers.cia402.options import Options
-from hil_drivers.cia402.player import Player, Track, gains_of
+from hil_drivers.cia402.player import Player
 from hil_drivers.cia402.rows import INCOMPLETE, TOPIC, StateRows, raw_rows
 from hil_drivers.cia402.supervisor import Phase, Supervisor
 from hil_drivers.cia402.timing import Schedule
 from hil_drivers.cia402.torque import HINT as TORQUE_HINT
 from hil_drivers.cia402.torque import GravityComparison, TorqueModel
+from hil_drivers.cia402.track import Track
 
 REST_LOOK_S = 0.002
 

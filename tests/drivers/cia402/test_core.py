@@ -12,11 +12,13 @@ import pytest
 from hil.core.errors import CommandRefused, RobotConnectionError, RobotFault, RobotTimeout
 from hil_drivers.cia402.bus import Emergency, News, Outputs
 from hil_drivers.cia402.core import Core
+from hil_drivers.cia402.gains import Gains
 from hil_drivers.cia402.mapping import ALL_MODES
-from hil_drivers.cia402.player import Gains, Player, Track
+from hil_drivers.cia402.player import Player
 from hil_drivers.cia402.rows import INCOMPLETE, STALLED
 from hil_drivers.cia402.supervisor import Phase, Supervisor
 from hil_drivers.cia402.timing import Schedule
+from hil_drivers.cia402.track import Track
 from tests.support.cia402_parts import CSP, CST, ENABLED, FAULT, OFF, PERIOD_S, READY, FakeDrives
 
 N = 3

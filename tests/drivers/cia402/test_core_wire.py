@@ -18,10 +18,11 @@ from hil_drivers.cia402.can_channel import port_of
 from hil_drivers.cia402.can_cycle import CanCyclic
 from hil_drivers.cia402.core import Core
 from hil_drivers.cia402.mapping import POSITION
-from hil_drivers.cia402.player import Player, Track
+from hil_drivers.cia402.player import Player
 from hil_drivers.cia402.rows import INCOMPLETE
 from hil_drivers.cia402.supervisor import Phase, Supervisor
 from hil_drivers.cia402.timing import Schedule
+from hil_drivers.cia402.track import Track
 from tests.support.cia402_parts import CSP, ENABLED, FakeDrive
 
 pytestmark = pytest.mark.wire

@@ -9,7 +9,9 @@ import pytest
 
 from hil.core.errors import CommandRefused
 from hil_drivers.cia402.bus import Inputs, Outputs
-from hil_drivers.cia402.player import FADE_S, HOLDING, MOVING, Gains, Player, Track
+from hil_drivers.cia402.gains import Gains
+from hil_drivers.cia402.player import FADE_S, HOLDING, MOVING, Player
+from hil_drivers.cia402.track import Track
 from tests.support.cia402_parts import CSP, CST, PERIOD_S
 
 CSV = 9

@@ -28,14 +28,15 @@ from hil_drivers.cia402.commissioning import (
     require_resettable,
     set_mode,
 )
+from hil_drivers.cia402.gains import KV_PER_S, LOOP_RAD_S, gains_of
 from hil_drivers.cia402.mapping import MAPPINGS
 from hil_drivers.cia402.options import options_of
-from hil_drivers.cia402.player import KV_PER_S, LOOP_RAD_S, gains_of, track_of
 from hil_drivers.cia402.profile import AxisProfile, Scaling
 from hil_drivers.cia402.robot import Cia402Robot
 from hil_drivers.cia402.rows import TOPIC
 from hil_drivers.cia402.session import Session, Thermometer, Trouble, outside_of
 from hil_drivers.cia402.torque import TorqueModel
+from hil_drivers.cia402.track import track_of
 from hil_mock_robot.cia402.keys import key
 from tests.support.cia402_drives import drives
 from tests.support.in_time import InTime, measured_again
