@@ -385,7 +385,7 @@ def load_model(
         SpecError: Neither exists, or the URDF cannot be used.
     """
     text = str(name_or_path)
-    if is_description(text):
+    if is_description(text.removesuffix(MOTOR_SIDE)):
         return RobotModel.from_arm(text, rotor_inertia, gravity)
     if Path(text).suffix or "/" in text or Path(text).is_file():
         return RobotModel.from_urdf(text, rotor_inertia, gravity)
@@ -564,12 +564,12 @@ APART_M, APART_RAD = 0.01, 0.05
 def may_be(name: str, robot: RobotModel) -> bool:
     """Whether data of the robot `name` may be of `robot`.
 
-    Built-in arms are told apart by name. A URDF, whose path says nothing, is told from another
-    robot by how far apart and how inclined each joint's axis is to the next one's; one that cannot
-    be read here, and a name that nobody knows, may be any robot.
+    Two built-in arms are compared by name. A path says nothing: a URDF or a description of an arm
+    is compared with another robot by the distance and the angle between each joint's axis and the
+    next one's. A file that cannot be read here and an unknown name may be any robot.
 
     Args:
-        name: Built-in arm, path of a URDF, or nothing.
+        name: Built-in arm, path of a URDF or a description, or nothing.
         robot: The model.
     """
     given, own = name.removesuffix(MOTOR_SIDE), robot.name.removesuffix(MOTOR_SIDE)
@@ -578,8 +578,8 @@ def may_be(name: str, robot: RobotModel) -> bool:
     other = _axes_of(given)
     if other is None:
         return True
-    built_in = robot.arm is not None and not _is_file(given)
-    return not built_in and _alike(other, _axes(robot))
+    by_name = robot.arm is not None and not _is_file(own) and not _is_file(given)
+    return not by_name and _alike(other, _axes(robot))
 
 
 @lru_cache(maxsize=32)

@@ -28,7 +28,7 @@ LEAST = 1e-3
 """Least eigenvalue of S: no link is thinner, in any direction, than this share of its reference."""
 
 FAINT = 1e-6
-"""Prior that is always there, so that the solution is unique."""
+"""Smallest prior on the bodies, so that the solution is unique."""
 
 LONGEST = 1e4
 """The target is scaled down to this length at most: noise-free data weigh 1e12."""
@@ -44,8 +44,6 @@ class Consistent:
         base: (b,) base parameters of `inertial`.
         excess: By how much the sum of squares grew over the unconstrained one.
         least_eigenvalue: Smallest eigenvalue of any link's S; positive, 1 at the reference.
-        repaired: Share by which the solver's answer had to be drawn to the reference until it was
-            strictly inside the bounds; around 1e-9 as a rule.
     """
 
     inertial: FloatArray
@@ -53,7 +51,6 @@ class Consistent:
     base: FloatArray
     excess: float
     least_eigenvalue: float
-    repaired: float
 
     @property
     def coefficients(self) -> FloatArray:
@@ -108,7 +105,7 @@ def consistent_least_squares(
     positive = [*range(space.bodies, space.size), *(space.size + i for i in nonnegative)]
     z = _minimum(rows, wanted, space, positive) / length
     z[positive] = np.maximum(z[positive], 0.0)
-    z[: space.bodies], repaired = space.strictly_inside(z[: space.bodies], 0.5 * LEAST)
+    z[: space.bodies] = space.drawn_inside(z[: space.bodies], 0.5 * LEAST)
     inertial = space.to_parameters @ z[: space.size]
     return Consistent(
         inertial=inertial,
@@ -116,7 +113,6 @@ def consistent_least_squares(
         base=base.combine(inertial),
         excess=float(np.sum((A @ z - target) ** 2)),
         least_eigenvalue=space.least_eigenvalue(z[: space.bodies]),
-        repaired=repaired,
     )
 
 
@@ -147,12 +143,12 @@ def _minimum(
     problem = cp.Problem(cp.Minimize(cp.sum_squares(A @ z - b)), constraints)
     try:
         with warnings.catch_warnings():
-            # "Solution may be inaccurate": it is checked and drawn inside the bounds below.
+            # "Solution may be inaccurate": the caller draws it inside the bounds.
             warnings.simplefilter("ignore")
             problem.solve(solver=cp.CLARABEL)
     except cp.error.SolverError as error:
         raise _unsolved(str(error)) from error
-    if z.value is None:
+    if problem.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE):
         raise _unsolved(problem.status)
     return np.asarray(z.value)
 
@@ -292,10 +288,11 @@ def _central(body: FloatArray) -> FloatArray:
 
 def _mass_from_torque(robot: RobotModel, reach: float) -> float:
     """Twice what the strongest joint could hold at arm's length [kg]."""
-    limits = robot.effort_max[np.isfinite(robot.effort_max) & (robot.effort_max > 0)]
-    if not len(limits):
+    limited = np.isfinite(robot.effort_max) & (robot.effort_max > 0)
+    if not limited.any():
         return MOST_KG
-    return float(min(2.0 * limits.max() / (9.81 * reach), MOST_KG))
+    arm_m = np.where(robot.joint_geometry().turns, reach, 1.0)  # a sliding joint holds by force
+    return float(min(2.0 * (robot.effort_max / (9.81 * arm_m))[limited].max(), MOST_KG))
 
 
 def _body(body: FloatArray, mass_max: float, box: FloatArray) -> FloatArray:
@@ -381,8 +378,8 @@ class ReferenceCoordinates:
         """Smallest eigenvalue of any link's S."""
         return float(np.linalg.eigvalsh(self.matrices(s)).min())
 
-    def strictly_inside(self, s: FloatArray, least: float) -> tuple[FloatArray, float]:
-        """Coordinates (10n,) drawn to the reference until all bounds hold, and by which share.
+    def drawn_inside(self, s: FloatArray, least: float) -> FloatArray:
+        """Return coordinates (10n,) drawn to the reference until all bounds hold.
 
         The reference is strictly inside and the bounds are convex, so a share below 1 is enough.
         """
@@ -392,7 +389,7 @@ class ReferenceCoordinates:
         over, spare = np.append(over, lack), np.append(spare, 1.0 - least)
         broken = over > 0
         share = float(np.max(over[broken] / (over + spare)[broken], initial=0.0))
-        return (1.0 - share) * s + share * self.reference, share
+        return (1.0 - share) * s + share * self.reference
 
 
 def _symmetric_basis() -> FloatArray:
@@ -405,7 +402,7 @@ def _symmetric_basis() -> FloatArray:
 
 
 def _limit_rows(box: FloatArray) -> FloatArray:
-    """(4, 10) rows that must be ≤ 0 for mass inside the box, and one more for the mass itself.
+    """(4, 10) rows that must be ≤ 0 for mass inside the box; the last, for its mass, is left empty.
 
     Along each axis ∫(x − lo)(hi − x) dm ≥ 0, that is Σ − (lo + hi) h + lo hi m ≤ 0 with the second
     moment Σ and the first moment h.

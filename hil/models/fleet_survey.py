@@ -40,9 +40,9 @@ class SurveyedRobot:
         joint_names: Length n.
         friction: (n,) RMS of the friction component over the series that the estimator is fitted to
             [N·m].
-        temperature: (n,) mean of the joints in the run [°C]; NaN if not measured.
+        temperature: (n,) mean of the joints in the same part of the run [°C]; NaN if not measured.
         probe: The last probe under its present champion; None without one.
-        problem: What could not be read of it, or why it is not compared; else empty.
+        problem: Why it is missing or not compared; empty if nothing is wrong.
         estimator: Name of the model's estimator; empty without a model.
     """
 
@@ -211,14 +211,14 @@ def survey_fleet(path: Path, registry: Registry, *, workers: int) -> Survey:
 
 
 def _model_of(fleet: FleetGroup, run: Path) -> Path | None:
-    """Return the model fitted last: by `hil fleet fit` of this fleet, else by the run itself."""
+    """Return the newest model by `hil fleet fit` of this fleet, else the run's first by name."""
     files = (fleet.models / robot_of(run)).glob("*/model.json")
     newest = max(files, key=lambda file: file.stat().st_mtime, default=None)
     return newest.parent if newest else next(iter(models_below(run)), None)
 
 
 def _of_one_estimator(robots: list[SurveyedRobot]) -> list[SurveyedRobot]:
-    """Leave out the friction of models of another estimator than that of most robots.
+    """Drop the friction of robots whose model is not of the commonest estimator.
 
     Estimators attribute different parts of the effort to friction.
     """
@@ -256,12 +256,9 @@ def _or_nan(values: FloatArray, n: int) -> FloatArray:
 
 def survey_robot(run: Path, model: Path | None) -> SurveyedRobot:
     """Return the state of one robot without its probes; computed by a worker."""
+    if model is None:
+        return _without_friction(run, model, "it has no model: hil fleet fit")
     try:
-        if model is None:
-            raise FitError(
-                "it has no model: hil fleet fit",
-                hint="fit it first: hil fleet fit FOLDER -e ESTIMATOR",
-            )
         estimator, names, friction, temperature = _friction(run, model)
     except HilError as error:
         return _without_friction(run, model, error.message)
@@ -302,10 +299,7 @@ def _friction(run: Path, model: Path) -> tuple[str, tuple[str, ...], FloatArray,
     data = usable_part(load_source(run), fitted)
     prediction = fitted.predict(data)
     if "friction" not in prediction.components:
-        raise FitError(
-            f"{fitted.estimator} does not say which part of its prediction is friction",
-            hint="fit with an estimator that tells friction apart",
-        )
+        raise FitError(f"{fitted.estimator} does not say which part of its prediction is friction")
     torque = prediction.components["friction"] * fitted.torque_scale_
     measured = data.columns.get("temperature", np.full_like(torque, np.nan))
     friction = np.sqrt(_known_mean(torque**2))

@@ -11,6 +11,7 @@ from pydantic import (
     ConfigDict,
     Field,
     GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
     TypeAdapter,
     WrapValidator,
     model_validator,
@@ -256,9 +257,10 @@ INTERLOCK_KINDS: tuple[str, ...] = tuple(
 
 
 class _ByKind:
-    """A kind that is not built in is left to the plug-ins: whoever loads a spec looks them up.
+    """Validates a kind that is not built in as `PluggedInterlock`.
 
-    So the spec of a run can be read where its plug-in is not installed.
+    The plug-in itself is looked up when a spec is checked, so the spec of a run can be read where
+    its plug-in is not installed.
     """
 
     def __get_pydantic_core_schema__(
@@ -269,6 +271,17 @@ class _ByKind:
             handler.generate_schema(Annotated[BuiltIn, Field(discriminator="kind")]),
             serialization=core_schema.simple_ser_schema("any"),
         )
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """One of the built-in kinds, or another kind with keys that its plug-in knows."""
+        of_kinds = handler(schema)
+        plugged = handler(PluggedInterlock.__pydantic_core_schema__)
+        kind = handler.resolve_ref_schema(plugged)["properties"]["kind"]
+        kind["pattern"] = f"^(?!({'|'.join(INTERLOCK_KINDS)})$)"
+        of_kinds["oneOf"].append(plugged)
+        return of_kinds
 
     @staticmethod
     def _validate(value: Any, built_in: Any) -> Any:

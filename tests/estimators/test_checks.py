@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -87,6 +88,15 @@ def test_urdfs_are_told_by_how_their_axes_lie(tmp_path: Path) -> None:
     assert not may_be(urdf(tmp_path, "longer", reach=0.5), own)
     assert not may_be(urdf(tmp_path, "inclined", roll=0.3), own)
     assert not may_be("ur5", own)
+
+
+def test_descriptions_of_an_arm_are_told_by_how_their_axes_lie(tmp_path: Path) -> None:
+    own = tmp_path / "own.yaml"
+    own.write_text(Path(str(files("hil.arms") / "ur5.yaml")).read_text("utf-8"), "utf-8")
+    described = load_model(str(own))
+    assert may_be("ur5", described)
+    assert may_be(str(own), load_model("ur5"))
+    assert not may_be("ur10e", described)
 
 
 def test_a_model_of_a_ur10e_is_not_judged_on_a_ur5(tmp_path: Path) -> None:

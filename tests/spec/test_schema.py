@@ -91,6 +91,13 @@ def test_the_schema_refuses_what_loading_refuses(place: tuple[str, ...], value: 
     assert faults(data, schema, schema) != []
 
 
+def test_the_schema_takes_interlocks_of_plug_ins_and_no_other_keys_of_built_in_ones() -> None:
+    schema = schema_of("experiment")
+    data = read_source(EXPERIMENTS / "ur5_dwell_650.yaml").data
+    assert faults(data | {"interlocks": [{"kind": "door", "pin": 3}]}, schema, schema) == []
+    assert faults(data | {"interlocks": [{"kind": "disk", "pin": 3}]}, schema, schema) != []
+
+
 @pytest.mark.parametrize("path", [*SHIPPED, *STATIONS], ids=lambda path: path.name)
 def test_the_first_line_of_a_shipped_file_leads_editors_to_its_schema(path: Path) -> None:
     first = path.read_text("utf-8").partition("\n")[0]

@@ -3,8 +3,8 @@
 The transfers are those of `canopen`'s server. The rules are CiA 301's: existence, access, length,
 range, device state, COB-IDs, and the order in which a PDO is laid out. That order is: invalidate
 the PDO (bit 31 of its COB-ID), set the number of mapped objects to 0, write them, set their
-number, set transmission type and timers, make the PDO valid again. Out of order the answer is
-0800 0022h; the mock wants all of it outside of the NMT state operational, as many drives do.
+number, make the PDO valid again. The mapping and inhibit time of a valid PDO are refused with
+0800 0022h. `MockNode` refuses all PDO objects in the NMT state operational, as many drives do.
 """
 
 from __future__ import annotations
@@ -31,7 +31,6 @@ from hil_mock_robot.cia402.dictionary import (
     N_CONSUMED,
     N_MAPPED,
     N_PDOS,
-    NO_RTR,
     NOT_VALID,
     RPDO_PARAMETERS,
     TPDO_MAPPING,
@@ -71,15 +70,15 @@ class SdoServer(server.SdoServer):
     def __init__(self, node: Any, node_id: int) -> None:
         super().__init__(0x600 + node_id, 0x580 + node_id, node)  # type: ignore[no-untyped-call]
         self._index = self._subindex = 0
-        self._going: int | None = None
+        self._open_transfer: int | None = None
 
     def on_request(self, can_id: int, data: bytes, timestamp: float) -> None:
         """A frame of a client."""
         command = data[0] & COMMAND
         if command not in (REQUEST_SEGMENT_UPLOAD, REQUEST_SEGMENT_DOWNLOAD):
-            # What begins, or ends by an abort, ends what was going on.
-            self._going = None
-        elif command != self._going:
+            # A new request or an abort cancels the open transfer.
+            self._open_transfer = None
+        elif command != self._open_transfer:
             self.abort(ABORT_INVALID_COMMAND_SPECIFIER)
             return
         super().on_request(can_id, data, timestamp)  # type: ignore[no-untyped-call]
@@ -88,17 +87,18 @@ class SdoServer(server.SdoServer):
         """Begin to read."""
         self._buffer = bytearray()
         super().init_upload(request)  # type: ignore[no-untyped-call]
-        self._going = REQUEST_SEGMENT_UPLOAD if self._buffer else None
+        self._open_transfer = REQUEST_SEGMENT_UPLOAD if self._buffer else None
 
     def segmented_upload(self, command: int) -> None:
         """Send the next segment; the transfer ends with the last one."""
         super().segmented_upload(command)  # type: ignore[no-untyped-call]
         if not self._buffer:
-            self._going = None
+            self._open_transfer = None
 
     def init_download(self, request: bytes) -> None:
         """Begin to write; four bytes without a length fit an object of any length."""
         command, index, sub = SDO_STRUCT.unpack_from(request)
+        self._index, self._subindex = index, sub  # which an abort names
         entry = by_key().get(index << 8 | sub)
         if command & EXPEDITED and not command & SIZE_SPECIFIED and entry and entry.type in CODES:
             command |= SIZE_SPECIFIED | (MOST_EXPEDITED - entry.packing.size) << 2
@@ -107,22 +107,22 @@ class SdoServer(server.SdoServer):
             announced = int.from_bytes(request[4:8], "little")
             require(announced == entry.packing.size, WRONG_LENGTH)
         super().init_download(bytes([command]) + request[1:])  # type: ignore[no-untyped-call]
-        self._going = None if command & EXPEDITED else REQUEST_SEGMENT_DOWNLOAD
+        self._open_transfer = None if command & EXPEDITED else REQUEST_SEGMENT_DOWNLOAD
 
     def segmented_download(self, command: int, request: bytes) -> None:
         """Take a segment; with the last one the object is written, and nothing is going on."""
         super().segmented_download(command, request)  # type: ignore[no-untyped-call]
         if command & NO_MORE_DATA:
-            self._going = None
+            self._open_transfer = None
 
     def abort(self, abort_code: int = ABORT_GENERAL_ERROR) -> None:
         """End the present transfer."""
-        self._going = None
+        self._open_transfer = None
         super().abort(abort_code)  # type: ignore[no-untyped-call]
 
 
 ERROR_FIELD, EMERGENCY_COB_ID, CONSUMERS = 0x1003, 0x1014, 0x1016
-RHYTHM = (keys.INTERPOLATION_VALUE, keys.INTERPOLATION_INDEX, keys.CYCLE_PERIOD)
+PERIOD_KEYS = (keys.INTERPOLATION_VALUE, keys.INTERPOLATION_INDEX, keys.CYCLE_PERIOD)
 LONGEST_MS = 1000
 
 OPERATION_ENABLED = 1 << 2
@@ -159,7 +159,7 @@ def read_object(registers: Registers, entry: Object, *, by_client: bool) -> byte
 
 
 def decoded_value(registers: Registers, entry: Object, data: bytes, *, by_client: bool) -> int:
-    """Return the register of an object for data that are written to it.
+    """Decode the data written to an object, and check that it may be written now.
 
     Raises:
         Abort: It may not be written, not with this, or not now.
@@ -179,20 +179,20 @@ def _check_rules(registers: Registers, entry: Object, value: int) -> None:
         check_pdo(registers, entry, value)
     elif entry.index == EMERGENCY_COB_ID:
         check_cob_id(registers[entry.key], value)
-    elif entry.key in RHYTHM:
-        _check_rhythm(registers, entry, value)
+    elif entry.key in PERIOD_KEYS:
+        _check_period(registers, entry, value)
     elif entry.index == CONSUMERS:
         check_consumer(registers, entry.sub, value)
 
 
-def _check_rhythm(registers: Registers, entry: Object, value: int) -> None:
+def _check_period(registers: Registers, entry: Object, value: int) -> None:
     """SYNC comes with steps of the drives, which are of 1 ms, and once a second at least."""
     if entry.key == keys.CYCLE_PERIOD:
         millis = Fraction(value, 1000)
     else:
-        pair = {where: registers[where] for where in RHYTHM} | {entry.key: value}
+        pair = {where: registers[where] for where in PERIOD_KEYS} | {entry.key: value}
         require(entry.allows(value), OUT_OF_RANGE)
-        millis = pair[RHYTHM[0]] * Fraction(10) ** (pair[RHYTHM[1]] + 3)
+        millis = pair[PERIOD_KEYS[0]] * Fraction(10) ** (pair[PERIOD_KEYS[1]] + 3)
     require(millis.denominator == 1 and millis <= LONGEST_MS, OUT_OF_RANGE)
 
 
@@ -253,13 +253,15 @@ def check_pdo(registers: Registers, entry: Object, value: int) -> None:
 
 def _check_parameter(registers: Registers, entry: Object, value: int, exists: bool) -> None:
     if entry.sub == COB_ID:
-        check_cob_id(registers[entry.key], value, NO_RTR)
-        require(not cob_id_is_valid(value) or _alone(registers, entry, value), INCOMPATIBLE)
+        check_cob_id(registers[entry.key], value)
+        require(
+            not cob_id_is_valid(value) or _cob_id_is_free(registers, entry, value), INCOMPATIBLE
+        )
     elif entry.sub == INHIBIT:
         require(not exists or value == registers[entry.key], DEVICE_STATE)
 
 
-def _alone(registers: Registers, entry: Object, value: int) -> bool:
+def _cob_id_is_free(registers: Registers, entry: Object, value: int) -> bool:
     """Whether no other PDO of this node has the identifier."""
     others = (
         registers[key(family + number, COB_ID)]
@@ -295,8 +297,7 @@ def _check_entry(raw: int, transmit: bool) -> None:
     require(where >> 8 in indices(), NO_OBJECT)
     target = by_key().get(where)
     if target is None:
-        require(False, NO_SUB_INDEX)
-        return
+        raise Abort(NO_SUB_INDEX)
     allowed = target.readable if transmit else target.writable
     require(target.mappable and allowed, NOT_MAPPABLE)
     require(bits == target.bits, INCOMPATIBLE)
@@ -321,18 +322,13 @@ def cob_id_is_valid(cob_id: int) -> bool:
     return not cob_id & NOT_VALID
 
 
-def check_cob_id(old: int, new: int, flags: int = 0) -> None:
-    """A client changes a COB-ID.
-
-    Args:
-        old: With flags.
-        new: With flags.
-        flags: Bits 29 and 30 that may be set.
+def check_cob_id(old: int, new: int) -> None:
+    """Check a COB-ID that a client writes in place of the old one.
 
     Raises:
         Abort: It cannot have that one, or the identifier changes while it is in use.
     """
-    require(not new & EXTENDED_PART & ~flags, OUT_OF_RANGE)
+    require(not new & EXTENDED_PART, OUT_OF_RANGE)
     number = new & CAN_ID
     require(not any(first <= number <= last for first, last in RESTRICTED), OUT_OF_RANGE)
     in_use = cob_id_is_valid(old) and cob_id_is_valid(new)

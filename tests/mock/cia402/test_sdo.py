@@ -141,6 +141,14 @@ def test_long_objects_come_in_segments(bench):
     assert bench.remote.sdo[0x1008].raw == "HIL mock drive"
 
 
+def test_an_abort_names_the_object_that_was_asked_for_last(bench):
+    answers = []
+    bench.network.subscribe(0x580 + NODE, lambda _, data, __: answers.append(bytes(data)))
+    bench.read(0x1018, 1)
+    bench.node.heard(0x600 + NODE, bytes.fromhex("2181600008000000"))
+    assert answers[-1] == bytes.fromhex("80816000") + LENGTH.to_bytes(4, "little")
+
+
 def test_a_block_upload_is_answered_by_an_ordinary_one(bench):
     request = struct.pack("<BHBBBH", 0xA4, 0x1000, 0, 127, 0, 0)
     answers = []
