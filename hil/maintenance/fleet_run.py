@@ -15,6 +15,7 @@ import multiprocessing
 import os
 import signal
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -252,7 +253,10 @@ class Workers:
         An answer is the report of the run as `hil run --json` has it, with `error` (`kind`,
         `message`, `hint`) if it did not go well.
         """
-        for connection in wait(list(self.running)):
+        ready: list[Any] = []
+        while self.running and not ready:
+            ready = wait(list(self.running), SIGNAL_S)
+        for connection in ready:
             assert isinstance(connection, Connection)
             i, process = self.running[connection]
             try:
@@ -274,14 +278,23 @@ def _terminate(process: BaseProcess) -> None:
 GONE_S = 10.0
 """A worker that has replied must exit within this time [s], else it is terminated."""
 
+SIGNAL_S = 0.5
+"""Longest wait without a look at signals [s]: one that comes just before a wait does not end it."""
+
 
 def _wait_until_gone(process: BaseProcess) -> None:
     """Wait until a worker that has answered is gone; its arm is at rest, so it may be killed."""
-    process.join(GONE_S)
+    _join(process)
     for end in (process.terminate, process.kill):
         if process.exitcode is None:
             end()
-            process.join(GONE_S)
+            _join(process)
+
+
+def _join(process: BaseProcess) -> None:
+    end = time.monotonic() + GONE_S
+    while process.exitcode is None and (left := end - time.monotonic()) > 0.0:
+        process.join(min(left, SIGNAL_S))
 
 
 def _cause_of_death(process: BaseProcess) -> Document:

@@ -62,7 +62,7 @@ def _judged(
     about: dict[str, Any] = {
         "outcome": str(run.status) if run else NONE,
         "exit_code": exit_code,
-        "struck": fault is not None,
+        "struck": fault is not None and not _kept_from(case, exit_code, journal),
         "message": message_of(run, folder),
         "commands": starts(journal),
     }
@@ -75,6 +75,13 @@ def _judged(
         return Field(**about, lacking=lacking(run), counts=counts(run))
     after = list(journal[journal.index(fault) :])
     return Field(**about, **_stopped(case, after), lost_s=lost(run, fault["device_time"]))
+
+
+def _kept_from(case: Case, exit_code: int, journal: Sequence[Note]) -> bool:
+    """Whether the run did not go on as it has to, and the mock was too late for it by itself."""
+    goes_on = not case.ending.before and case.ending.stop_within_s is None
+    late = any(note["event"] == "slip" for note in journal)
+    return goes_on and late and exit_code != case.ending.exit_code
 
 
 def _fault(case: Case, journal: Sequence[Note]) -> Note | None:

@@ -279,6 +279,7 @@ class PlcRequests(Requests):
         """See `Requests`."""
         program, arm = self.faults.mock.program, self._arm
         return {
+            "device_time": program.device_time,
             "phase": program.phase.name,
             "q": listed(arm.position),
             "qd": listed(arm.speed),

@@ -93,6 +93,11 @@ class PlcProgram:
         self._hold()
         self._tell()
 
+    @property
+    def device_time(self) -> float:
+        """Time of the next row [s]."""
+        return float(self._info["fCycleS"]) * self._ring.head
+
     def cycles(self, count: int) -> FloatArray:
         """Let cycles pass; commands are read before the first.
 

@@ -362,7 +362,7 @@ def test_an_experiment_runs_over_can_frames_without_a_gap(mock, tmp_path) -> Non
 
 
 def test_an_interrupt_in_a_trajectory_brings_the_arm_to_rest(mock, tmp_path) -> None:
-    with run(mock, tmp_path) as process:
+    with run(mock, tmp_path, pace="free") as process:
         mock.wait_until(lambda state: max(map(abs, state["qd"])) > 0.3, within_s=90.0)
         process.send_signal(signal.SIGINT)
         time.sleep(0.1)

@@ -38,6 +38,7 @@ from hil_drivers.twincat.variables import CONTRACT
 from tests.support.in_time import InTime, measured_again
 from tests.support.mock_servers import MockPlc, loopback, mock_plc
 from tests.support.paths import EXPERIMENTS
+from tests.support.waiting import until
 
 pytestmark = [pytest.mark.wire]
 
@@ -65,8 +66,8 @@ def test_a_second_and_a_thousand_rows_none_missing_none_twice(robot):
     robot.prepare(move(robot, 0.4, "trajectory"))
     robot.start()
     robot.drain()
-    blocks, until, random = [], time.monotonic() + READING_S, np.random.default_rng(1)
-    while time.monotonic() < until:
+    blocks, end, random = [], time.monotonic() + READING_S, np.random.default_rng(1)
+    while time.monotonic() < end:
         blocks.append(robot.read())
         time.sleep(random.uniform(0, 0.15))
     rows, told = np.concatenate(blocks), robot.drain()[TOPIC]
@@ -161,8 +162,8 @@ def test_what_goes_wrong_in_a_motion_ends_it_and_is_told(robot, plc, fault, kind
 
 
 def connected_again(robot, within_s=8.0):
-    until = time.monotonic() + within_s
-    while time.monotonic() < until:
+    end = time.monotonic() + within_s
+    while time.monotonic() < end:
         with suppress(HilError):
             return robot.connect()
         time.sleep(0.1)
@@ -226,10 +227,7 @@ def test_the_plc_stops_the_arm_when_its_client_is_killed(plc):
         killed = time.monotonic()
         os.kill(client.pid, signal.SIGKILL)
         client.wait(10)
-    until = killed + 3.0
-    while not [each for each in plc.journal("rest") if each["monotonic_s"] > killed]:
-        assert time.monotonic() < until, "the arm does not come to rest"
-        time.sleep(0.02)
+    until(lambda: [each for each in plc.journal("rest") if each["monotonic_s"] > killed])
     watchdog, rest = plc.journal("watchdog")[-1], plc.journal("rest")[-1]
     assert rest["after"] == "watchdog"
     assert watchdog["speed_rad_s"] > 0.1
@@ -241,13 +239,19 @@ def test_the_plc_stops_the_arm_when_its_client_is_killed(plc):
     robot.close()
 
 
+def pass_quickly(plc, seconds):
+    """Let device time pass while nobody reads."""
+    end = plc.tell("state")["device_time"] + seconds
+    plc.side(speed=40)
+    until(lambda: plc.tell("state")["device_time"] > end, every_s=0.02)
+    plc.side(speed=1)
+
+
 def test_a_slow_reader_loses_rows_and_says_how_many(robot, plc):
     follow(robot, move(robot, 0.02))
     robot.drain()
     blocks = [robot.read()]
-    plc.side(speed=40)
-    time.sleep(0.6)  # 24 s by the PLC's clock, whose ring holds 16
-    plc.side(speed=1)
+    pass_quickly(plc, 20.0)  # the PLC's ring holds 16 s
     blocks += [robot.read(), robot.read()]
     told, finding = robot.drain()[TOPIC], robot.checks()[-1]
     steps = np.diff(np.concatenate(blocks)["device_time"])
@@ -260,9 +264,7 @@ def test_a_slow_reader_loses_rows_and_says_how_many(robot, plc):
 
 
 def test_what_nobody_reads_before_anything_is_started_is_left_out_and_no_loss(robot, plc):
-    plc.side(speed=40)
-    time.sleep(0.6)
-    plc.side(speed=1)
+    pass_quickly(plc, 20.0)
     rows, told, finding = robot.read(), robot.drain()[TOPIC], robot.checks()[-1]
     assert len(rows) <= 5000
     assert told["skipped"][-1] > 2000

@@ -28,6 +28,7 @@ from hil_drivers.ur import motion
 from hil_drivers.ur.motion import MotionProcess
 from tests.support.in_time import InTime, measured_again
 from tests.support.mock_servers import loopback
+from tests.support.waiting import until
 
 pytestmark = pytest.mark.wire
 
@@ -54,11 +55,8 @@ class Desk:
                         if port == 29999:
                             client.sendall(b"Stopped\n")
 
-    def wait(self, port, text, within_s=2.0):
-        until = time.monotonic() + within_s
-        while text not in self.said[port] and time.monotonic() < until:
-            time.sleep(0.005)
-        return text in self.said[port]
+    def wait(self, port, text):
+        return until(lambda: text in self.said[port])
 
     def close(self):
         for line in self._lines:
@@ -107,18 +105,12 @@ def led(way=0.2, rows=80, index=4):
     return Segment(index, "trajectory", q, np.zeros_like(q), np.zeros_like(q), 0.5, 2.0)
 
 
-def wait_until_over(process, within_s=5.0):
-    until = time.monotonic() + within_s
-    while process.look()[0]["status"] & Status.MOVING:
-        assert time.monotonic() < until, "the motion does not end"
-        time.sleep(0.01)
+def wait_until_over(process):
+    until(lambda: not process.look()[0]["status"] & Status.MOVING, every_s=0.01)
 
 
-def wait_until_said(fake, command, within_s=5.0):
-    until = time.monotonic() + within_s
-    while not any(line.startswith(command) for line in fake.commands()):
-        assert time.monotonic() < until, f"no {command} is commanded"
-        time.sleep(0.005)
+def wait_until_said(fake, command):
+    until(lambda: any(line.startswith(command) for line in fake.commands()))
 
 
 def move_to_the_end(process, segment):
@@ -389,7 +381,7 @@ def test_a_program_that_does_not_play_for_one_tick_ends_the_session(fake, how):
     process.connect()
     with pytest.raises(HilError, match="robot program ended"):
         move_to_the_end(process, move(2.0))
-    assert not process.alive
+    until(lambda: not process.alive)
     assert fake.desk.wait(30003, b"stopj")
     assert how == "blink_move" or fake.desk.wait(29999, b"stop\n")
 
@@ -483,9 +475,7 @@ def test_an_arm_is_stopped_and_released_when_its_parent_is_killed(fake, tmp_path
     os.kill(parent.pid, signal.SIGKILL)
     parent.wait()
     parent.stdout.close()
-    until = time.monotonic() + 5.0
-    while "disconnect" not in fake.commands() and time.monotonic() < until:
-        time.sleep(0.02)
+    until(lambda: "disconnect" in fake.commands(), every_s=0.02)
     said = [line for line in fake.commands() if line != "kick"]
     assert said[-3:] == ["stopJ", "stopScript", "disconnect"]
 
