@@ -1,9 +1,9 @@
-"""Load experiments and stations: everything that is wrong with a file, in one error.
+"""Load experiments and stations; one error lists everything that is wrong with a file.
 
 A file is parsed, values from the command line (`--set excitation.waypoints=12`) are laid over it,
-and what it names outside itself (estimators, drivers, arms, files) is looked up. These checks read
-the parsed data and not the validated model, so that their findings come in the same report as
-everything else that is wrong with the file.
+and what it names outside itself (estimators, studies, interlocks, drivers, arms, files) is looked
+up. These checks read the parsed data and not the validated model, so that their findings come in
+the same report as everything else that is wrong with the file.
 """
 
 from __future__ import annotations
@@ -58,8 +58,8 @@ def load_spec(
     Args:
         file: The YAML file, or what `read_source` read from it, which is changed.
         overrides: Values laid over the file, YAML text by dotted path (`excitation.waypoints`).
-        look_up: Check that the estimators, interlocks and files the spec names exist here. Switch
-            it off to read the spec of a run that was made elsewhere.
+        look_up: Check that the estimators, studies, interlocks and files the spec names exist
+            here. Switch it off to read the spec of a run that was made elsewhere.
 
     Returns:
         The spec; `excitation.file` is absolute.
@@ -82,8 +82,8 @@ def _spec(
     except SpecError as error:
         if not overrides:
             raise
-        told = _with_overrides(error.message, as_written, folder, overrides, look_up)
-        raise SpecError(told, hint=error.hint) from None
+        message = _with_overrides(error.message, as_written, folder, overrides, look_up)
+        raise SpecError(message, hint=error.hint) from None
 
 
 def _checked(source: Source, folder: FilePath, look_up: bool) -> ExperimentSpec:
@@ -102,20 +102,22 @@ def _checked(source: Source, folder: FilePath, look_up: bool) -> ExperimentSpec:
 
 
 def _with_overrides(
-    told: str, as_written: Source, folder: FilePath, overrides: Mapping[str, str], look_up: bool
+    message: str, as_written: Source, folder: FilePath, overrides: Mapping[str, str], look_up: bool
 ) -> str:
-    """The lines of an error, with the overrides where the file as written has none such."""
+    """Return the lines of an error; those the file as written does not have name the overrides."""
+    before: set[str] = set()
     try:
         _checked(as_written, folder, look_up)
-        before = set()
     except SpecError as error:
         before = set(error.message.splitlines())
+    if len(before) > MOST_PROBLEMS:  # the list is cut off: any line may be an old one
+        return message
     laid = ", ".join(f"{shown(key)}={shown(text)}" for key, text in overrides.items())
     return "\n".join(
         f"{line} (with --set {laid})"
         if line.startswith(f"{as_written.name}:") and line not in before
         else line
-        for line in told.splitlines()
+        for line in message.splitlines()
     )
 
 
@@ -152,11 +154,12 @@ def load_station(path: str | FilePath, *, look_up: bool = True) -> Station:
     refuse_other_kind(source, "hil_station")
     if look_up:
         check_robots(source, folder)
-    _make_absolute(source, folder)
+    _make_models_absolute(source, folder)
     return validated(source, Station)
 
 
-def _make_absolute(source: Source, folder: FilePath) -> None:
+def _make_models_absolute(source: Source, folder: FilePath) -> None:
+    """Make the robot models of a station absolute that are paths."""
     robots = source.at(("robots",))
     for robot in robots.values() if isinstance(robots, dict) else ():
         model = robot.get("model") if isinstance(robot, dict) else None
@@ -208,24 +211,18 @@ def _where_to_read(problems: list[Problem], model: type[Strict]) -> str:
 
 
 _KINDS = {
-    "hil": "an experiment",
-    "hil_station": "a station",
-    "hil_map": "an import map",
-    "hil_series": "a series of experiments",
-    "hil_schedule": "a schedule",
-    "hil_fleet": "the robots of a fleet",
-    "capsules": "the description of an arm",
+    "hil": ("an experiment", "hil run FILE"),
+    "hil_station": ("a station", "hil run SPEC --station FILE"),
+    "hil_map": ("an import map", "hil import RECORDING --map FILE -o OUT"),
+    "hil_series": ("a series of experiments", "hil run FILE"),
+    "hil_schedule": (
+        "a schedule",
+        "hil schedule plan FILE, hil schedule run FILE, hil reidentify FILE",
+    ),
+    "hil_fleet": ("the robots of a fleet", "hil fleet run SPEC --robots FILE"),
+    "capsules": ("the description of an arm", "the robots of a station, as `model: FILE`"),
 }
-
-_USES = {
-    "hil": "hil run FILE",
-    "hil_station": "hil run SPEC --station FILE",
-    "hil_map": "hil import RECORDING --map FILE -o OUT",
-    "hil_series": "hil run FILE",
-    "hil_schedule": "hil schedule plan FILE, hil schedule run FILE, hil reidentify FILE",
-    "hil_fleet": "hil fleet run SPEC --robots FILE",
-    "capsules": "the robots of a station, as `model: FILE`",
-}
+"""Key that a file has → what such a file is, and what it is for."""
 
 
 def is_kind(file: str | FilePath | Source, key: str) -> bool:
@@ -238,15 +235,20 @@ def is_kind(file: str | FilePath | Source, key: str) -> bool:
 
 
 def refuse_other_kind(source: Source, wanted: str) -> None:
-    """One sentence instead of dozens for a station given as an experiment, and the like."""
+    """Refuse a file of another kind in one sentence instead of dozens of findings.
+
+    Raises:
+        SpecError: The file is of another kind, or no mapping.
+    """
     data: Any = source.data
     if not isinstance(data, dict):
         message = f"must be a mapping that begins with `{wanted}: 1`"
         raise refuse([Problem(source.mark(()), (), message)])
     if key := _other_kind(data, wanted):
-        message = f"this file is {_KINDS[key]}, but {_KINDS[wanted]} is needed here"
-        hint = f"this one is for: {_USES[key]}"
-        raise refuse([Problem(source.mark((key,), key=True), (), message)], hint=hint)
+        kind, use = _KINDS[key]
+        message = f"this file is {kind}, but {_KINDS[wanted][0]} is needed here"
+        problem = Problem(source.mark((key,), key=True), (), message)
+        raise refuse([problem], hint=f"this one is for: {use}")
 
 
 def _other_kind(data: Any, wanted: str) -> str:
@@ -255,17 +257,17 @@ def _other_kind(data: Any, wanted: str) -> str:
     return next((key for key in _KINDS if key in known), "")
 
 
-def no_such_kind(file: FilePath, wanted: str) -> str:
-    """What is wrong with naming a file where another kind is needed; empty when nothing is.
+def wrong_kind(file: FilePath, wanted: str) -> str:
+    """Return the message for a file of another kind than needed; empty for one that may be right.
 
-    Whatever else is wrong with the file is told by whoever reads it.
+    Other problems of the file are reported when it is loaded.
     """
     try:
         data = read_source(file).data
     except SpecError:
         return ""
     key = _other_kind(data, wanted)
-    return f"{file} is {_KINDS[key]}, but {_KINDS[wanted]} is needed here" if key else ""
+    return f"{file} is {_KINDS[key][0]}, but {_KINDS[wanted][0]} is needed here" if key else ""
 
 
 def make_absolute(source: Source, place: KeyPath, folder: FilePath) -> None:
@@ -283,7 +285,7 @@ def make_absolute(source: Source, place: KeyPath, folder: FilePath) -> None:
     if not is_file(file):
         source.add(place, no_file_but(file, (".yaml", ".yml")))
         return
-    if wrong := no_such_kind(file, "hil_station" if place[-1] == "station" else "hil"):
+    if wrong := wrong_kind(file, "hil_station" if place[-1] == "station" else "hil"):
         source.add(place, wrong)
     holder[place[-1]] = str(file.resolve())
 
@@ -291,8 +293,8 @@ def make_absolute(source: Source, place: KeyPath, folder: FilePath) -> None:
 def lay_over(source: Source, overrides: Mapping[str, str]) -> None:
     """Set values in a parsed file; each is YAML, its key the dotted path (`loads.0.mass_kg`).
 
-    Mappings on the way are made as needed; lists must be long enough, or may be replaced whole.
-    Problems are collected in the source, under the name `--set N`.
+    Mappings on the way are made as needed, also in place of null; lists must be long enough, or may
+    be replaced whole. Problems are collected in the source, under the name `--set N`.
 
     Raises:
         SpecError: A value is not YAML, there is no such place, or one would undo another.
@@ -358,16 +360,22 @@ def _child(data: Any, step: str | int) -> Any:
 def _set(data: Any, path: KeyPath, value: Any) -> str:
     """Put `value` at `path`; why not, where a list or a plain value is in the way."""
     for step in path[:-1]:
-        if isinstance(data, dict) and data.get(str(step)) is None:
-            data[str(step)] = {}
-        if _child(data, step) is None:
+        if not _has_place(data, step):
             return _in_the_way(data, step)
-        data = _child(data, step)
-    last = path[-1]
-    if isinstance(data, dict) or _child(data, last) is not None:
-        data[last] = value
-        return ""
-    return _in_the_way(data, last)
+        if _child(data, step) is None:
+            data[step] = {}
+        data = data[step]
+    if not _has_place(data, path[-1]):
+        return _in_the_way(data, path[-1])
+    data[path[-1]] = value
+    return ""
+
+
+def _has_place(data: Any, step: str | int) -> bool:
+    """Return whether `data` is a mapping, or a list that has the entry `step`; it may be null."""
+    if isinstance(data, list):
+        return isinstance(step, int) and step < len(data)
+    return isinstance(data, dict)
 
 
 def _in_the_way(data: Any, step: str | int) -> str:
@@ -427,9 +435,8 @@ def _check_named(
         source.add((*path, word), f"{error.message} → {error.hint}")
         return
     _check_excitation(source, (*path, word), name, plugin)
-    if len(entry) > 1:
-        given = {key: value for key, value in entry.items() if key != word}
-        _check_parameters(source, path, name, given, plugin)
+    given = {key: value for key, value in entry.items() if key != word}
+    _check_parameters(source, (*path, word), name, given, plugin)
 
 
 RECORDED = {"dwell": ("dwell", "dwells"), "fourier": ("trajectory", "trajectories")}
@@ -451,43 +458,55 @@ def _check_excitation(source: Source, path: KeyPath, name: str, plugin: Any) -> 
     recorded, plural = RECORDED[kind]
     if recorded not in kinds[0]:
         wanted = " or ".join(f"kind: {k}" for k, (r, _) in RECORDED.items() if r in kinds[0])
-        message = f"{name} does not learn from the {plural} of this excitation"
+        message = f"{name} cannot use the {plural} of this excitation"
         source.add(path, f"{message}; it needs {wanted or ', '.join(kinds[0])}")
 
 
 def _check_parameters(
-    source: Source, path: KeyPath, name: str, given: dict[str, Any], plugin: Any
+    source: Source, named: KeyPath, name: str, given: dict[str, Any], plugin: Any
 ) -> None:
-    known = _parameters(plugin)
+    """Check the parameters of a plug-in whose name is at `named`, beside them."""
+    path, known = named[:-1], _keywords(plugin)
     unknown = [key for key in given if known is not None and key not in known]
     for key in unknown:
         source.add((*path, key), _no_parameter(name, key, known or []), key=True)
-    if not unknown:
+    if unknown:
+        return
+    if lacking := [key for key in _required(plugin) if key not in given]:
+        source.add(named, f"{name} needs {', '.join(lacking)}")
+    elif given:
         _check_values(source, path, plugin, given)
-
-
-def _parameters(estimator: Any) -> list[str] | None:
-    """Names of a constructor's keyword parameters, or None when it takes any."""
-    try:
-        parameters = inspect.signature(estimator).parameters.values()
-    except (TypeError, ValueError):
-        return None
-    if any(p.kind is p.VAR_KEYWORD for p in parameters):
-        return None
-    return [p.name for p in parameters if p.kind in _NAMED]
 
 
 _NAMED = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
 
 
-def _required(plugin: Any) -> list[str]:
-    """Names of a constructor's parameters that have no default; none where it cannot be read."""
-    try:
-        parameters = inspect.signature(plugin).parameters.values()
-    except (TypeError, ValueError):
-        return []
+def _keywords(plugin: Any, after: int = 0) -> list[str] | None:
+    """Return the names of keyword parameters, or None when the plug-in takes any.
+
+    Args:
+        plugin: A class or function.
+        after: So many parameters at the beginning are left out.
+    """
+    parameters = _signature(plugin)
+    if parameters is None or any(p.kind is p.VAR_KEYWORD for p in parameters):
+        return None
+    return [p.name for p in parameters[after:] if p.kind in _NAMED]
+
+
+def _required(plugin: Any, after: int = 0) -> list[str]:
+    """Return the names of parameters without default; arguments as in `_keywords`."""
     named = (inspect.Parameter.POSITIONAL_ONLY, *_NAMED)
+    parameters = (_signature(plugin) or [])[after:]
     return [p.name for p in parameters if p.kind in named and p.default is p.empty]
+
+
+def _signature(plugin: Any) -> list[inspect.Parameter] | None:
+    """Return all parameters of a plug-in, or None where they cannot be read."""
+    try:
+        return list(inspect.signature(plugin).parameters.values())
+    except (TypeError, ValueError):
+        return None
 
 
 def _no_parameter(name: str, key: str, known: list[str]) -> str:
@@ -549,19 +568,22 @@ def _check_plugged(source: Source, path: KeyPath, kind: str, entry: dict[str, An
         source.add((*path, "kind"), f"{error.message} → {error.hint}")
         return
     # The first parameter is its context; the spec itself knows the others.
-    known, unknown = _parameters(plugin), []
+    known, unknown = _keywords(plugin, after=1), []
     if known is not None:
-        own = [name for name in known[1:] if name != "action"]
+        own = [name for name in known if name != "action"]
         unknown = [key for key in entry if key not in ("kind", "action", "enabled", *own)]
         for key in unknown:
             source.add((*path, key), _no_parameter(kind, key, own), key=True)
-    lacking = [name for name in _required(plugin)[1:] if name not in (*entry, "action")]
+    lacking = [name for name in _required(plugin, after=1) if name not in (*entry, "action")]
     if lacking and not unknown:  # else it is there under a name that was mistyped
         source.add((*path, "kind"), f"{kind} needs {', '.join(lacking)}")
 
 
 def check_robots(source: Source, folder: FilePath) -> None:
-    """Drivers must be registered, models be built-in arms or existing URDF files."""
+    """Drivers must be registered, models be built-in arms or existing files.
+
+    Such a file is a URDF or the description of an arm.
+    """
     known = plugins.names("hil.drivers")
     for path, robot in _entries(source, "robots"):
         driver, model = robot.get("driver"), robot.get("model")
@@ -578,11 +600,12 @@ def _fault_of_model(model: str, folder: FilePath) -> str:
     if model in arm_names():
         return ""
     hint = did_you_mean(model, arm_names())
-    return f"there is no built-in arm '{shown(model)}'; {hint} A URDF is named by its path."
+    end = "" if hint.endswith("?") else "."
+    return f"there is no built-in arm '{shown(model)}'; {hint}{end} A URDF is named by its path."
 
 
 def _missing(path: FilePath) -> str:
-    """Of a file that another file names; what is meant ends as it does."""
+    """Return the message for a missing file, with suggestions of the same ending."""
     return no_file_but(path, [path.suffix.casefold()])
 
 

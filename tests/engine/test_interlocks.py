@@ -95,6 +95,14 @@ def half_made(context, *, action):
     return object()
 
 
+def by_position(context, /, limit_percent, action):
+    return Humid(context, action=action, limit_percent=limit_percent)
+
+
+def by_any_position(*context, limit_percent, action):
+    return Humid(*context, action=action, limit_percent=limit_percent)
+
+
 def picky(context, *, action, **anything):
     raise ValueError("no sensor on port 7")
 """
@@ -102,11 +110,12 @@ def picky(context, *, action, **anything):
 
 @pytest.fixture
 def plugged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Three plug-ins, beside those that are installed."""
+    """A few plug-ins, beside those that are installed."""
     (tmp_path / "lab_interlocks.py").write_text(PLUGIN)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "lab_interlocks", raising=False)
     targets = {"humidity": "Humid", "half-made": "half_made", "picky": "picky", "broken": "None_"}
+    targets |= {"by-position": "by_position", "by-any-position": "by_any_position"}
     group = "hil.interlocks"
     points = [EntryPoint(name, f"lab_interlocks:{t}", group) for name, t in targets.items()]
     installed = plugins.entry_points
@@ -289,6 +298,13 @@ def test_a_plug_in_has_a_line_in_the_list_of_plug_ins(plugged: None) -> None:
 )  # fmt: skip
 def test_a_wrong_plug_in_is_found_with_the_spec(plugged: None, entry: str, told: str) -> None:
     assert problem(entry).startswith(told)
+
+
+@pytest.mark.parametrize("kind", ["by-position", "by-any-position"])
+def test_the_context_of_a_plug_in_is_given_by_position(plugged: None, kind: str) -> None:
+    spec = with_interlocks(f"{{kind: {kind}, limit_percent: 70}}").interlocks[0]
+    assert [one.watches for one in interlocks_from_spec([spec])] == ["70 %"]
+    assert problem(f"{{kind: {kind}}}").endswith(f"{kind} needs limit_percent")
 
 
 @pytest.mark.parametrize(

@@ -58,6 +58,15 @@ class InMotion:
     series_kinds = (("trajectory",), ("move",))
 
 
+class NeedsGap:
+    """An estimator with a parameter that has no default."""
+
+    estimator = "needs-gap"
+
+    def __init__(self, *, gap_s: float, rounds: int = 1) -> None:
+        pass
+
+
 def anything(**parameters: object) -> dict[str, object]:
     """An estimator that takes any parameter."""
     return parameters
@@ -71,6 +80,7 @@ def _estimators(monkeypatch: pytest.MonkeyPatch) -> None:
         EntryPoint("at-rest", "tests.spec.test_errors:AtRest", group),
         EntryPoint("in-motion", "tests.spec.test_errors:InMotion", group),
         EntryPoint("network", "tests.spec.test_errors:Network", group),
+        EntryPoint("needs-gap", "tests.spec.test_errors:NeedsGap", group),
         EntryPoint("anything", "tests.spec.test_errors:anything", group),
         EntryPoint("broken", "no_such_module:Thing", group),
     ]
@@ -286,7 +296,7 @@ AT_THE_TOP = [
     (
         "fit: [{estimator: zzz}]",
         "6:19: fit.0.estimator: there is no estimator 'zzz'; "
-        "there is anything, at-rest, broken, in-motion, network, static-wls",
+        "there is anything, at-rest, broken, in-motion, needs-gap, network, static-wls",
     ),
     (
         "fit: [{estimator: network, layer: [4, 1]}]",
@@ -558,8 +568,8 @@ def test_a_recording_that_is_not_fitted_needs_nothing_held_out() -> None:
 @pytest.mark.parametrize(
     ("kind", "estimator", "expected"),
     [
-        ("fourier", "at-rest", "at-rest does not learn from the trajectories of this excitation"),
-        ("dwell", "in-motion", "in-motion does not learn from the dwells of this excitation"),
+        ("fourier", "at-rest", "at-rest cannot use the trajectories of this excitation"),
+        ("dwell", "in-motion", "in-motion cannot use the dwells of this excitation"),
     ],
 )
 def test_an_estimator_for_another_excitation_is_refused(
@@ -589,6 +599,11 @@ def test_a_limit_in_another_unit_than_the_robots_effort_is_refused(
         return
     with pytest.raises(SpecError, match="the limit is in A, but ur5 measures a torque in N·m"):
         require_judgeable(spec, kind)
+
+
+@pytest.mark.parametrize("entry", ["estimator: needs-gap", "estimator: needs-gap, rounds: 2"])
+def test_a_parameter_without_default_is_missed_before_the_robot_moves(entry: str) -> None:
+    assert line_of(GOOD + f"fit: [{{{entry}}}]").endswith("fit.0.estimator: needs-gap needs gap_s")
 
 
 def test_an_estimator_that_takes_anything_is_given_anything() -> None:

@@ -10,6 +10,7 @@ from pydantic import ValidationError
 from hil.arms import arm_names
 from hil.arms.payload import Payload
 from hil.core.errors import SpecError
+from hil.core.yaml import MOST_PROBLEMS
 from hil.planning.experiment import NOT_MOCKED, mock_bench
 from hil.planning.robots import opened
 from hil.spec import (
@@ -183,6 +184,24 @@ def test_a_wrong_override_is_reported_at_the_override() -> None:
     ]
 
 
+@pytest.mark.parametrize(("key", "value"), [("loads.0", "{mass_kg: 2}"), ("loads.0.mass_kg", "2")])
+def test_an_override_may_fill_an_empty_entry_of_a_list(key: str, value: str) -> None:
+    text = GOOD.replace("{mass_kg: 1}", "null")
+
+    assert [load.mass_kg for load in spec_from_text(text, overrides={key: value}).loads] == [2, 3]
+
+
+def test_an_override_is_not_blamed_for_problems_that_a_long_list_left_out() -> None:
+    text = GOOD.replace("waypoints: 20", "waypoints: 0") + "".join(
+        f"k{i}x: 1\n" for i in range(MOST_PROBLEMS)
+    )
+
+    with pytest.raises(SpecError) as caught:
+        spec_from_text(text, "f", overrides={"excitation.waypoints": "12"})
+    assert len(caught.value.message.splitlines()) == MOST_PROBLEMS
+    assert "--set" not in caught.value.message
+
+
 @pytest.mark.parametrize("key", ["", "loads.7.mass_kg", "name.first", "loads.mass_kg", "a..b"])
 def test_an_override_of_a_place_that_cannot_be_is_refused(key: str) -> None:
     with pytest.raises(SpecError, match="there is no such place"):
@@ -291,6 +310,11 @@ def test_a_station_reports_drivers_models_names_and_walls_at_once(tmp_path: Path
         "6:59: robots.b.surroundings.walls.0.normal: must point somewhere; it is all zeros" in said
     )
     assert len(said) == 6
+
+
+def test_an_arm_like_no_other_is_answered_with_the_list_of_arms(tmp_path: Path) -> None:
+    (line,) = station_lines(tmp_path, BENCH.replace("model: ur5", "model: banana"))
+    assert line.endswith(f"there is {', '.join(sorted(arm_names()))}. A URDF is named by its path.")
 
 
 def test_an_experiment_is_no_station(tmp_path: Path) -> None:

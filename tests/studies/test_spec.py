@@ -48,7 +48,7 @@ def test_the_keys_beside_the_name_are_its_parameters() -> None:
         ("study: counted, round: 2", "f:5:26: study.0.round: counted has no parameter 'round'"),
         ("study: counted, rounds: 0", "f:5:34: study.0.rounds: rounds is 0, but must be at"),
         ("study: broken", "f:5:17: study.0.study: the study 'broken' (no_such_module:Thing) does"),
-        ("study: moving", "f:5:17: study.0.study: moving does not learn from the dwells"),
+        ("study: moving", "f:5:17: study.0.study: moving cannot use the dwells"),
     ],
 )
 def test_what_is_wrong_is_told_with_its_place(entry: str, expected: str) -> None:
