@@ -28,7 +28,7 @@ from hil.estimators.payload import LEVEL, Correction, PayloadEstimate, rms
 from hil.estimators.standstill import dry_friction, require_torque, resting_at
 
 MOST_KG, MOST_M = 5.0, 0.3
-"""What is uncertain by more (95 %) is not told at all: such a number would be read as one."""
+"""A result with a wider 95 % interval is not reported: it would be taken for a measurement."""
 
 
 def estimate_payload_at_rest(
@@ -51,9 +51,12 @@ def estimate_payload_at_rest(
         it. Its errors include those of the gains (so its `by_gain` is 0) and of the model.
 
     Raises:
-        FitError: The arm never rested, the poses do not show the mass, the model does not tell
-            torques, or the arm is lighter than the model has it.
-        DataError: The data are of another robot or unit, or `bare` of other poses.
+        FitError: The model is not fitted, has no drive gains, predicts from the measured effort,
+            or predicts no arm at rest; the arm never rested; values are not finite, or the effort
+            is 0; the poses are too few or do not show the mass; the dry friction is not known; the
+            arm is lighter than the model has it.
+        DataError: The data are of another robot, unit or gravity, or `bare` of other poses or
+            approaches.
     """
     require_torque(model)
     if model.protocol != HONEST:
@@ -138,10 +141,11 @@ def _notes(
     problem: RestProblem, values: FloatArray, interval: FloatArray, shows: bool
 ) -> Iterator[str]:
     yield "an arm at rest does not show a load's inertia: use a recording of motion for that"
-    if problem.one_sided:
-        poses = f"{problem.one_sided} of {len(problem.found)} poses"
-        yield f"{poses} were approached from one side only: their friction is part of the errors"
-    if problem.errors is not TARED:
+    if problem.one_sided_count:
+        poses = f"{problem.one_sided_count} of {len(problem.found)} poses"
+        side = "an unknown side" if problem.tared else "one side only"
+        yield f"{poses} were approached from {side}: their friction is part of the errors"
+    if not problem.tared:
         yield "the same program run with nothing mounted (--bare RUN) makes errors much smaller"
     if not shows:
         return
@@ -182,6 +186,11 @@ class RestReadings:
     def one_sided(self) -> BoolArray:
         """(P,) poses at which friction does not cancel."""
         return np.asarray(~np.isfinite(self.half).all(axis=1))
+
+    @property
+    def side_unknown(self) -> BoolArray:
+        """(P,) poses of which no direction of approach is known."""
+        return np.array([side == {0} for side in self.sides])
 
     @staticmethod
     def of(dwells: Dataset) -> RestReadings:
@@ -252,7 +261,7 @@ PRIOR = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class RestErrors:
-    """Standard deviations of what a model at rest has wrong beside its gains.
+    """Standard deviations of a model's errors at rest, except drive gains.
 
     Measured on the embedded mock's UR5, seeds 1 to 9, by `rigid-wls`, `rigid-hysteresis`,
     `static-wls` and `static-hysteresis`, whose controller knew of the load or did not; see
@@ -288,24 +297,26 @@ class RestProblem:
         readings: At P poses.
         found: (P, n) torque beyond that of the bare arm [N·m].
         columns: (P, n, 4) of `static_columns`.
-        bare: (P, n) torque of the bare arm by the model [N·m].
+        bare_torque: (P, n) torque of the bare arm by the model [N·m].
+        tared: Whether readings of the bare flange were subtracted.
         errors: Of the model.
         variance: (P, n) of `found`, errors that repeat from pose to pose left out [N²·m²].
-        friction: (n,) dry friction, or the model's own residual if that is larger [N·m].
+        friction: (n,) dry friction; unless tared, at least the model's own residual [N·m].
         gain_share: Standard deviation of a drive gain, as a share of it.
-        one_sided: How many poses have all of their friction left.
+        one_sided_count: How many poses have all of their friction left.
     """
 
     model: RobotEstimator
     readings: RestReadings
     found: FloatArray
     columns: FloatArray
-    bare: FloatArray
+    bare_torque: FloatArray
+    tared: bool
     errors: RestErrors
     variance: FloatArray
     friction: FloatArray
     gain_share: float
-    one_sided: int
+    one_sided_count: int
 
     @staticmethod
     def of(
@@ -317,29 +328,32 @@ class RestProblem:
         """With or without the readings of the bare flange at the same poses, `first`.
 
         Raises:
-            FitError: Nobody knows the friction, or the model does not predict an arm at rest.
+            FitError: There are too few poses, the friction is not known, or the model does not
+                predict an arm at rest.
         """
+        _require_enough(*readings.q.shape)
         K = model.torque_scale_
-        bare = _at_rest(model, readings.q, Payload())
-        found = readings.effort * K - bare
+        bare_torque = _torque_at_rest(model, readings.q, Payload())
+        found = readings.effort * K - bare_torque
         errors = LEARNT_AT_REST if "dwell" in model.series_kinds[0] else RestErrors()
         change, one_sided = np.zeros_like(found), readings.one_sided
-        friction = _friction(model, readings)
+        friction, uncancelled = _friction(model, readings), 1.0
         if first is not None:
-            found = found - (first.effort * K - _at_rest(model, first.q, Payload()))
-            # From one side friction cancels as well, if it was the same side.
-            errors, one_sided = TARED, np.zeros_like(one_sided)
+            found = found - (first.effort * K - _torque_at_rest(model, first.q, Payload()))
+            # From one side friction cancels as well, if it was the same side. Where the side is
+            # unknown, it may have been the other: then both readings keep their friction.
+            errors, one_sided, uncancelled = TARED, readings.side_unknown, np.sqrt(2.0)
             change = np.nan_to_num(readings.half - first.half) * K
         else:
-            # A model that errs by more than friction does not know its arm.
+            # A residual above the friction means the model is at least that wrong.
             friction = np.maximum(friction, model.sigma_ * K)
-        whole = np.where(one_sided, 1.0, errors.pose)[:, None]
-        variance = (whole * friction) ** 2 + (errors.change * change) ** 2 + LEAST_NM**2
+        share = np.where(one_sided, uncancelled, errors.pose)[:, None]
+        variance = (share * friction) ** 2 + (errors.change * change) ** 2 + LEAST_NM**2
         gains = 0.0 if model.effort_kind_ == "torque" else gain_share
         columns = static_columns(model.robot_, readings.q)
         return RestProblem(
-            model, readings, found, columns, bare, errors, variance, friction, gains,
-            int(one_sided.sum()),
+            model, readings, found, columns, bare_torque, first is not None, errors, variance,
+            friction, gains, int(one_sided.sum()),
         )  # fmt: skip
 
     def solved(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -347,7 +361,7 @@ class RestProblem:
         phi = np.zeros(STATIC)
         for _ in range(STEPS):
             # The model may make more of a load than its rigid torque; without a mass, nothing.
-            beyond = self._load(phi) - self.columns @ phi
+            beyond = self._load_torque(phi) - self.columns @ phi
             wanted, carried = self.found - beyond, self.columns @ phi
             X, y = self._whitened(self.columns, carried), self._whitened(wanted[..., None], carried)
             covariance = np.asarray(np.linalg.inv(X.T @ X + PRIOR * np.eye(STATIC)))
@@ -356,23 +370,33 @@ class RestProblem:
         # More is left than the errors explain: they are larger here.
         return phi, np.asarray(covariance * max(1.0, chi2)), wanted - self.columns @ phi
 
-    def _load(self, phi: FloatArray) -> FloatArray:
+    def _load_torque(self, phi: FloatArray) -> FloatArray:
         if phi[0] <= 0.0:
             return np.asarray(self.columns @ phi)
-        return _at_rest(self.model, self.readings.q, point_load(phi)) - self.bare
+        return _torque_at_rest(self.model, self.readings.q, point_load(phi)) - self.bare_torque
 
     def _whitened(self, values: FloatArray, carried: FloatArray) -> FloatArray:
         """(n·P, k) of `values` (P, n, k) with errors of size 1 that do not correlate."""
         poses = len(self.variance)
         common = [
             self.gain_share * carried,
-            self.errors.gravity * self.bare,
+            self.errors.gravity * self.bare_torque,
             np.broadcast_to(self.errors.offset * self.friction, carried.shape),
         ]
         V = sum(part.T[:, :, None] @ part.T[:, None, :] for part in common)
         V = V + np.eye(poses) * self.variance.T[:, :, None]
         white = np.linalg.solve(np.linalg.cholesky(V), values.transpose(1, 0, 2))
         return np.asarray(white.reshape(-1, values.shape[2]))
+
+
+def _require_enough(poses: int, joints: int) -> None:
+    """Raise FitError unless there are more torques than parameters of a load."""
+    if poses * joints <= STATIC:
+        raise FitError(
+            f"{poses} {'pose' if poses == 1 else 'poses'} of {joints} joints is too few to "
+            "identify a load's mass and centre",
+            hint=f"hold at least {STATIC // joints + 1} poses",
+        )
 
 
 def _friction(model: RobotEstimator, readings: RestReadings) -> FloatArray:
@@ -390,7 +414,7 @@ def _friction(model: RobotEstimator, readings: RestReadings) -> FloatArray:
     return level
 
 
-def _at_rest(model: RobotEstimator, q: FloatArray, load: Payload) -> FloatArray:
+def _torque_at_rest(model: RobotEstimator, q: FloatArray, load: Payload) -> FloatArray:
     """(P, n) torque [N·m] that the model expects of an arm that came from nowhere."""
     effort: FloatArray = model.predict(resting_at(model, q, load)).effort
     if not np.all(np.isfinite(effort)):

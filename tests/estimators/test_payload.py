@@ -13,7 +13,7 @@ from scipy.stats import norm
 from hil.arms.payload import Payload
 from hil.core.errors import DataError, FitError, SpecError
 from hil.data import Conditions, Dataset
-from hil.dynamics import payload_parameters
+from hil.dynamics import RobotModel, payload_parameters
 from hil.dynamics.inertial import is_consistent, pseudo_inertia
 from hil.estimators.payload import (
     central,
@@ -29,7 +29,7 @@ from hil.estimators.payload_at_rest import estimate_payload_at_rest
 from hil.estimators.payload_declaration import FALSE_ALARM, Floor, check_declarations
 from hil.estimators.rigid_linear import RigidWls
 from hil.estimators.static_model import StaticWls
-from tests.support.dynamics_arms import mjcf, mujoco_torques
+from tests.support.dynamics_arms import mjcf, mujoco_torques, urdf, written
 from tests.support.load_parts import (
     OFF_AXIS,
     ON_AXIS,
@@ -350,6 +350,49 @@ def test_the_bare_arm_must_have_held_the_same_poses() -> None:
     one_sided = held(load=None, both=False)
     with pytest.raises(DataError, match="not approached from the same sides"):
         estimate_payload_at_rest(arm(), held(), bare=one_sided)
+
+
+def test_friction_of_an_unknown_side_does_not_cancel() -> None:
+    """Detected dwells: the arm may have come from above with the load and from below without."""
+    known, unknown = (
+        estimate_payload_at_rest(arm(RigidWls), data, bare=without)
+        for data, without in (
+            (held(both=False), held(load=None, both=False)),
+            (side_unknown(held(both=False)), side_unknown(held(load=None, both=False))),
+        )
+    )
+    assert unknown.std_error[0] > 3 * known.std_error[0]
+    assert any("6 of 6 poses were approached from an unknown side" in n for n in unknown.notes)
+    assert not any("approached from" in note for note in known.notes)
+
+
+def side_unknown(data: Dataset) -> Dataset:
+    return replace(data, conditions=tuple(replace(c, approach=0) for c in data.conditions))
+
+
+def test_one_pose_of_an_arm_with_four_joints_is_too_few(tmp_path) -> None:
+    text = urdf("ur5", wrist_3="fixed")
+    fixed = text.replace('"wrist_2_joint" type="revolute"', '"wrist_2_joint" type="fixed"')
+    robot = RobotModel.from_urdf(written(tmp_path, fixed))
+    model = StaticWls().fit(first_joints(dwelling(60, seed=1, both=True), robot), robot)
+    with pytest.raises(FitError, match="1 pose of 4 joints is too few") as caught:
+        estimate_payload_at_rest(model, first_joints(held(1), robot))
+    assert "hold at least 2 poses" in caught.value.hint
+    assert len(estimate_payload_at_rest(model, first_joints(held(9), robot)).residual) == 4
+
+
+def first_joints(data: Dataset, robot: RobotModel) -> Dataset:
+    """The data of the first joints only, with the efforts that such an arm has."""
+    n = robot.n
+    columns = {k: v[:, :n] if v.ndim == 2 else v for k, v in data.columns.items()}
+    columns["effort"] = robot.gravity(columns["q"]) / GAINS[:n]
+    return replace(
+        data,
+        robot=robot.name,
+        joint_names=robot.joint_names,
+        columns=columns,
+        drive_gains=GAINS[:n],
+    )
 
 
 def test_errors_grow_with_those_of_the_gains() -> None:
