@@ -107,7 +107,7 @@ def figures_of(subject: Subject, view: Any) -> list[Figure]:
 # --- The motion of a run -------------------------------------------------------------------------
 
 COVERAGE_ROWS = 60_000
-"""Rows the coverage is counted on, evenly spread over the recording."""
+"""The coverage is counted on at most so many rows, evenly spread over the recording."""
 
 
 @figure("excitation")
@@ -119,7 +119,7 @@ def joint_angles(view: RunView) -> Figure:
             joint_title(j, name),
             "time [s]",
             "position [°]",
-            (_broken_line("", view.recording, q[:, j], j),),
+            (_broken_line(view.recording, q[:, j], j),),
             alt=f"Position of {name} over time, {q[:, j].min():.0f}° to {q[:, j].max():.0f}°.",
             marks=_attempts(view.recording),
         )
@@ -156,7 +156,9 @@ def pose_map(view: RunView) -> Figure | None:
         titles = (f"J{a + 1} and J{b + 1}", f"J{a + 1} position [°]", f"J{b + 1} position [°]")
         return Panel(*titles, curves, alt=alt)
 
-    panels = tuple(panel(j, min(j + 1, len(names) - 1)) for j in range(0, len(names), 2))
+    # Of an odd number of joints, the last is drawn with the one before.
+    firsts = (min(j, len(names) - 2) for j in range(0, len(names), 2))
+    panels = tuple(panel(j, j + 1) for j in firsts)
     lead = f"The {len(poses)} poses the arm stood still at."
     return Figure("pose-map", "Pose map", lead, panels, 0)
 
@@ -178,9 +180,9 @@ def _dwell_poses(facts: RunFacts, recording: Recording) -> tuple[IntArray, Float
 def position_velocity_coverage(view: RunView) -> Figure:
     """How often each joint was at which position with which velocity."""
     rows = view.recording.rows
-    moving = _rows_of_steps(rows, view.facts.indices("trajectory"))
-    chosen = moving if len(moving) else rows
-    chosen = chosen[:: max(1, len(chosen) // COVERAGE_ROWS)]
+    on_trajectories = _rows_of_steps(rows, view.facts.indices("trajectory"))
+    chosen = on_trajectories if len(on_trajectories) else rows
+    chosen = chosen[thinned(len(chosen), COVERAGE_ROWS)]
     q, qd = chosen["q"] * DEGREES, chosen["qd"] * DEGREES
     panels = tuple(
         Panel(
@@ -193,7 +195,7 @@ def position_velocity_coverage(view: RunView) -> Figure:
         )
         for j, name in enumerate(view.names)
     )
-    when = "on the trajectories" if len(moving) else "in the whole run"
+    when = "on the trajectories" if len(on_trajectories) else "in the whole run"
     lead = f"How often each position and velocity occurred {when}: the stronger, the more often."
     return Figure("coverage", "Position and velocity coverage", lead, panels, 0)
 
@@ -254,7 +256,7 @@ def _of_all_joints(
 ) -> Panel:
     t, peak = view.recording.t, _peak(values)
     curves = joint_curves(t, values, view.names, shown=shown, begins=view.recording.attempt_starts)
-    # A limit far above the data would press them flat; then it is only said.
+    # A limit far above the data would flatten it; then it is only in the title.
     if peak > NEAR_LIMIT * limit:
         curves.append(limit_line(t[[0, -1]], limit))
     return Panel(
@@ -295,7 +297,7 @@ def _interval(recording: Recording) -> Panel:
         title,
         "time [s]",
         "interval [ms]",
-        (_broken_line("", recording, steps),),
+        (_broken_line(recording, steps),),
         alt=f"{title}, at most {number(_peak(steps))} ms.",
         wide=True,
         marks=_attempts(recording),
@@ -336,10 +338,10 @@ def limit_line(ends: FloatArray, value: float) -> Curve:
     return Curve("limit", ends, np.full(2, value), look=look)
 
 
-def _broken_line(name: str, recording: Recording, values: FloatArray, j: int = 0) -> Curve:
+def _broken_line(recording: Recording, values: FloatArray, j: int = 0) -> Curve:
     """One signal (N,) over time, broken where attempts begin."""
     x, y = in_parts(decimated, recording.t, values, recording.attempt_starts)
-    return Curve(name, x, y, look=Look(colours.of_joint(j).colour, width=1.0))
+    return Curve("", x, y, look=Look(colours.of_joint(j).colour, width=1.0))
 
 
 def _attempts(recording: Recording) -> tuple[Mark, ...]:
@@ -399,7 +401,7 @@ def dwells_compared(view: ModelView) -> Figure | None:
     unit = view.fit.unit
     return _per_joint(
         view.fit,
-        dwells,
+        _residual_of(dwells),
         "Held-out dwells: measured and predicted",
         "One mark per dwell (mean of its samples). Where a pose was approached from below and "
         "from above, the distance between the two is friction at standstill; a model without "
@@ -409,6 +411,13 @@ def dwells_compared(view: ModelView) -> Figure | None:
     )
 
 
+SIDES = (
+    (1, "from below", colours.UP, "triangle-up"),
+    (-1, "from above", colours.DOWN, "triangle-down"),
+)
+"""Approach of a dwell: its sign in the data, name, colour and mark."""
+
+
 def dwell_curves(
     measured: FloatArray, predicted: FloatArray, approach: IntArray, pose: IntArray
 ) -> tuple[Curve, ...]:
@@ -416,17 +425,13 @@ def dwell_curves(
     order = np.argsort(predicted, kind="stable")
     rank = np.empty(len(order))
     rank[order] = np.arange(1, len(order) + 1)
-    sides = (
-        (1, "measured, from below", colours.UP, "triangle-up"),
-        (-1, "measured, from above", colours.DOWN, "triangle-down"),
-        (0, "measured", colours.MEASURED, "circle"),
-    )
     curves = []
-    for sign, name, colour, symbol in sides:
+    for sign, side, colour, symbol in (*SIDES, (0, "", colours.MEASURED, "circle")):
         rows = np.flatnonzero(approach == sign)
         if len(rows):
             look = Look(colour, symbol=symbol, size=2 + _mark_size(len(order)))
             hover = [f"pose {p}" for p in pose[rows]]
+            name = f"measured, {side}" if side else "measured"
             curves.append(Curve(name, rank[rows], measured[rows], "points", (), look, hover))
     x, y = decimated(np.sort(rank), predicted[order])
     return (*curves, Curve("predicted", x, y, look=Look(colours.PREDICTED, width=2.2)))
@@ -444,7 +449,7 @@ def friction_at_rest(view: ModelView) -> Figure | None:
             joint_title(j, name),
             "joint angle [°]",
             f"friction [{friction.unit}]",
-            resting(seen, j),
+            friction_at_rest_curves(seen, j),
             alt=f"{AT_REST}, {name}: {_mean_sides(seen, j, friction.unit)}",
         )
         for j, name in enumerate(view.fit.joint_names)
@@ -458,19 +463,15 @@ def friction_at_rest(view: ModelView) -> Figure | None:
 
 
 AT_REST, IN_MOTION = "Held-out dwells: friction at rest", "Friction over velocity"
-SIDES = (
-    (1, "from below", colours.UP, "triangle-up"),
-    (-1, "from above", colours.DOWN, "triangle-down"),
-)
 
 
-def resting(seen: FrictionAtRest, j: int) -> tuple[Curve, ...]:
+def friction_at_rest_curves(seen: FrictionAtRest, j: int) -> tuple[Curve, ...]:
     """Friction of one joint at rest over its angle, both directions told apart."""
     angle, curves = seen.q[:, j] * DEGREES, []
     for sign, name, colour, symbol in SIDES:
         rows = np.flatnonzero((seen.approach == sign) & np.isfinite(seen.measured[:, j]))
         if len(rows):
-            look = Look(colour, symbol=symbol, size=6 if len(angle) < 100 else 4)
+            look = Look(colour, symbol=symbol, size=_mark_size(len(angle)))
             hover = [f"pose {p}" for p in seen.pose[rows]]
             x, y = angle[rows], seen.measured[rows, j]
             curves.append(Curve(f"{name}, less gravity", x, y, "points", (), look, hover))
@@ -545,7 +546,7 @@ def trajectory_compared(view: ModelView) -> Figure | None:
     several = f"{which}: of {motions.count} held out, the worst relative to each joint's signal."
     return _per_joint(
         view.fit,
-        motions,
+        motions.measured - motions.predicted,
         "Held-out trajectory: measured and predicted",
         several if motions.count > 1 else f"{which}.",
         ("time [s]", f"{quantity(unit)} [{unit}]"),
@@ -569,7 +570,7 @@ def friction_over_velocity(view: ModelView) -> Figure | None:
         return None
 
     def panel(j: int, name: str) -> Panel:
-        curves = moving(seen, j)
+        curves = friction_in_motion_curves(seen, j)
         alt = f"{IN_MOTION}, {name}: {_ends(seen, curves[-1], j, friction.unit)}"
         titles = (joint_title(j, name), "velocity [°/s]", f"friction [{friction.unit}]")
         return Panel(*titles, curves, alt=alt)
@@ -584,12 +585,12 @@ ERRORS = 2.0
 """Half a band, in standard errors."""
 
 
-def moving(seen: FrictionInMotion, j: int) -> tuple[Curve, ...]:
+def friction_in_motion_curves(seen: FrictionInMotion, j: int) -> tuple[Curve, ...]:
     """Friction of one joint over its velocity: a cloud of samples, and last the model's line."""
     good = np.isfinite(seen.measured[:, j]) & np.isfinite(seen.qd[:, j])
     qd, measured = seen.qd[good, j] * DEGREES, seen.measured[good, j]
     some = thinned(len(qd), CLOUD)
-    look = Look(colours.MEASURED, size=3 if len(some) > 300 else 4, opacity=0.5)
+    look = Look(colours.MEASURED, size=_mark_size(len(some)), opacity=0.5)
     name = "measured, less the rest of the model"
     cloud = Curve(name, qd[some], measured[some], "points", look=look)
     if seen.law_qd is None or seen.curve is None:
@@ -675,7 +676,7 @@ def trajectory_residual_over_time(view: ModelView) -> Figure | None:
 
     title = "The same trajectory: residual over time"
     axes = ("time [s]", f"residual [{view.fit.unit}]")
-    return _per_joint(view.fit, motions, title, "", axes, curves, banded=True)
+    return _per_joint(view.fit, residual, title, "", axes, curves, banded=True)
 
 
 @figure("model")
@@ -756,7 +757,7 @@ def learning_panel(curves: Curves, alt: str = "") -> Panel:
         wide=True,
         # Plotly leaves out of a logarithmic axis what is not above 0, as an error of nothing is.
         y_axis=Axis("log"),
-        marks=tuple(Mark(epoch + 0.5, name="next stage") for epoch in ends),
+        marks=tuple(Mark(end + 0.5, name="next stage") for end in ends),
     )
 
 
@@ -774,7 +775,7 @@ def _residual(
         return residual_curves(x[:, j], residual[:, j]), ""
 
     return _per_joint(
-        fit, data, title, lead, (x_title, f"residual [{fit.unit}]"), curves, banded=True
+        fit, residual, title, lead, (x_title, f"residual [{fit.unit}]"), curves, banded=True
     )
 
 
@@ -804,7 +805,7 @@ def _regression(fit: FitFacts, data: DwellPredictions | MotionPredictions, title
         return regression_curves(measured[:, j], predicted[:, j])
 
     axes = (f"predicted [{fit.unit}]", f"measured [{fit.unit}]")
-    return _per_joint(fit, data, title, "", axes, curves)
+    return _per_joint(fit, measured - predicted, title, "", axes, curves)
 
 
 def regression_curves(measured: FloatArray, predicted: FloatArray) -> _Series:
@@ -826,7 +827,7 @@ def regression_curves(measured: FloatArray, predicted: FloatArray) -> _Series:
 
 def _per_joint(
     fit: FitFacts,
-    data: DwellPredictions | MotionPredictions,
+    residual: FloatArray,
     title: str,
     lead: str,
     axes: tuple[str, str],
@@ -834,8 +835,11 @@ def _per_joint(
     *,
     banded: bool = False,
 ) -> Figure:
-    """A panel per joint, described by the joint's residual; `banded` adds what is noise."""
-    fast, residual = fit.values("noise_floor"), _residual_of(data)
+    """Return a panel per joint, described by the RMS of its `residual` (N, n).
+
+    With `banded`, a band shows the noise of the measured signal.
+    """
+    fast = fit.values("noise_floor")
     name = f"± RMS of the measured signal's {fit.fast_part}"
 
     def panel(j: int, joint: str) -> Panel:

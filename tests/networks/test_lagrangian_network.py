@@ -359,7 +359,7 @@ def test_memory_and_learned_friction_are_no_curve(case: str) -> None:
 
 def test_it_is_drawn_as_a_curve_without_a_band() -> None:
     motion = predict_with(lagrangian("stribeck"), moving(9)).friction.in_motion
-    names = [curve.name for curve in figures.moving(motion, 0)]
+    names = [curve.name for curve in figures.friction_in_motion_curves(motion, 0)]
     assert names[1:] == ["without its viscous part", "friction of the model"]
 
 

@@ -6,6 +6,7 @@ import json
 import re
 from importlib.resources import files
 from itertools import combinations
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,12 +14,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.core.typing import FloatArray
+from hil.data import Conditions
 from hil.report import colours
 from hil.report import run_figures as figures
 from hil.report.colours import PALETTE
 from hil.report.curves import binned, decimated, extremes, has_names, summarised, thinned
 from hil.report.matplotlib_figure import THEME, drawn, following_the_screen
 from hil.report.plotly_figure import figure_json, panel_of, plotly_of
+from hil.report.predictions import MotionPredictions
 from hil.report.run_figures import FIGURES, ModelView, RunView, figures_of
 from hil.studies.figure import Curve, Figure, Panel
 from tests.support.panels import NAMES, PANELS, A, B, T, panel
@@ -115,6 +118,57 @@ def test_names_cannot_become_markup_inside_plotly():
 def test_coverage_counts_every_finite_sample():
     z = figures.counted_grid(np.append(A, np.nan), np.append(B, 1.0)).log_count
     assert round(float(np.nansum(10.0**z))) == 3000
+
+
+def test_coverage_is_counted_on_so_many_rows_at_most(monkeypatch):
+    monkeypatch.setattr(figures, "COVERAGE_ROWS", 60)
+    grid = figures.position_velocity_coverage(run_of(119, joints=2)).panels[0].grid
+    assert round(float(np.nansum(10.0**grid.log_count))) == 60
+
+
+@pytest.mark.parametrize(
+    ("joints", "pairs"),
+    [(2, ["J1 and J2"]), (3, ["J1 and J2", "J2 and J3"]), (4, ["J1 and J2", "J3 and J4"])],
+)
+def test_the_pose_map_pairs_every_joint_with_another(joints, pairs):
+    made = figures.pose_map(run_of(12, joints))
+    assert [panel.title for panel in made.panels] == pairs
+
+
+def run_of(samples: int, joints: int) -> RunView:
+    """A run whose every sample is a dwell of its own."""
+    rows = np.zeros(
+        samples, [("q", float, (joints,)), ("qd", float, (joints,)), ("segment", np.int32)]
+    )
+    rows["q"] = rows["qd"] = np.linspace(-1.0, 1.0, samples)[:, None]
+    rows["segment"] = np.arange(samples)
+    facts = SimpleNamespace(
+        indices=lambda kind: list(range(samples)) if kind == "dwell" else [],
+        steps=[{"pose": k} for k in range(samples)],
+        unsettled=[],
+        judged_fits=(),
+    )
+    return RunView(facts, SimpleNamespace(rows=rows), None, [f"joint_{j}" for j in range(joints)])
+
+
+def test_the_worst_trajectory_is_described_by_its_own_residual():
+    t, one = np.arange(3.0), np.ones((3, 1))
+    motions = MotionPredictions(
+        Conditions("b", "trajectory", "run"), t, 2.0 * one, 0.0 * one, q=np.zeros((6, 1)),
+        qd=np.zeros((6, 1)), all_measured=np.vstack([0.0 * one, 2.0 * one]),
+        all_predicted=np.zeros((6, 1)), count=2,
+    )  # fmt: skip
+    fit = SimpleNamespace(
+        unit="A", joint_names=["j"], fast_part="noise", values=lambda key: np.zeros(1)
+    )
+    view = ModelView(fit, figures.Predictions(None, motions))
+    for make, rms in (
+        (figures.trajectory_compared, "2.00"),
+        (figures.trajectory_residual_over_time, "2.00"),
+        (figures.residual_over_velocity, "1.41"),
+    ):
+        (drawn,) = make(view).panels
+        assert drawn.alt.endswith(f"residual RMS {rms} A")
 
 
 def test_regression_states_the_correlation():

@@ -109,7 +109,7 @@ def test_samples_lie_where_friction_is_known_to_be(seen: Predictions) -> None:
 
 def test_nothing_is_drawn_beyond_the_velocities_of_the_data(seen: Predictions) -> None:
     motion = seen.friction.in_motion
-    curves = figures.moving(motion, 0)
+    curves = figures.friction_in_motion_curves(motion, 0)
     low, high = (edge(motion.qd[:, 0]) * DEGREES for edge in (np.min, np.max))
     for curve in curves:
         assert np.min(curve.x) == pytest.approx(low, abs=0.5)
@@ -119,7 +119,7 @@ def test_nothing_is_drawn_beyond_the_velocities_of_the_data(seen: Predictions) -
 
 def test_friction_that_is_no_curve_is_drawn_as_its_mean_either_way(seen: Predictions) -> None:
     motion = replace(seen.friction.in_motion, curve=None)
-    line = figures.moving(motion, 1)[-1]
+    line = figures.friction_in_motion_curves(motion, 1)[-1]
     assert line.name == "friction of the model, mean"
     known = truth(np.repeat(line.x[:, None] / DEGREES, 6, axis=1))[:, 1]
     assert (np.diff(line.x) > 0).all()
@@ -189,7 +189,7 @@ def test_no_band_where_the_standard_errors_of_least_squares_are_not_the_methods(
     model.fit(moving(1, 2, 3, noise_a=0.05), nominal())
     assert np.isfinite(model.friction_curve(VELOCITIES).std_error).all() == holds
     motion = predict_with(model, moving(4, noise_a=0.05)).friction.in_motion
-    names = [curve.name for curve in figures.moving(motion, 0)]
+    names = [curve.name for curve in figures.friction_in_motion_curves(motion, 0)]
     assert ("± 2 standard errors, at most" in names) == holds
 
 
@@ -252,7 +252,7 @@ def test_dwells_a_model_does_not_hold_for_are_left_out() -> None:
     assert np.array_equal(np.isfinite(rest.measured[:, 1]), held)
     assert rest.predicted[held, 1] == pytest.approx(2.0 * approach[held])
     assert rest.measured[:, 0] == pytest.approx(2.0 * approach, abs=0.2)
-    marks = figures.resting(rest, 1)
+    marks = figures.friction_at_rest_curves(rest, 1)
     assert all(np.isfinite(curve.y).all() and len(curve.y) for curve in marks)
     assert figures._mean_sides(rest, 1, "N·m").count("(model 2.00)") == 1
     assert figures._mean_sides(rest, 1, "N·m").count("(model -2.00)") == 1
@@ -300,7 +300,9 @@ def test_the_line_goes_no_further_than_the_rows_a_model_holds_for(wls: RigidWls)
     assert np.nanmax(np.abs(motion.law_qd)) <= 0.2
     assert np.isnan(motion.law_qd[:, 2]).all()
     assert np.isfinite(motion.curve.torque[:, [0, 1, 3, 4, 5]]).all()
-    assert "model unknown" in figures._ends(motion, figures.moving(motion, 2)[-1], 2, "N·m")
+    assert "model unknown" in figures._ends(
+        motion, figures.friction_in_motion_curves(motion, 2)[-1], 2, "N·m"
+    )
 
 
 def test_what_is_said_of_the_line_is_of_the_terms_it_has(seen: Predictions) -> None:
