@@ -28,7 +28,7 @@ from .quality import margins_of as margins_of
 from .roadmap import Roadmap as Roadmap
 from .sequencing import Arrangement as Arrangement
 from .workspace import Clearance as Clearance
-from .workspace import Space as Space
+from .workspace import Distances as Distances
 from .workspace import Workspace as Workspace
 from .workspace import beyond_range as beyond_range
 from .workspace import draw_poses as draw_poses

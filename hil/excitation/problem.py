@@ -16,7 +16,6 @@ a function of them with its exact derivative:
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
@@ -27,6 +26,7 @@ import scipy.linalg
 from hil.core import BoolArray, FloatArray, IntArray, PlanError
 from hil.dynamics import IdentificationColumns, log_condition, neg_log_det
 from hil.excitation.motion import FourierSeries
+from hil.excitation.workspace import Distances
 
 if TYPE_CHECKING:
     from hil.dynamics import BaseParameters, RobotModel
@@ -40,24 +40,6 @@ as well as 1000 do."""
 
 LEAST_HARMONICS = 2
 """One alone cannot rest at both ends."""
-
-
-class Distances(Protocol):
-    """Distances that follow from the joint positions.
-
-    `hil.dynamics.CollisionModel` and `hil.dynamics.FlangeSpace` are such.
-    """
-
-    @property
-    def names(self) -> Sequence[tuple[str, str]]:
-        """(R,) between which two things."""
-
-    @property
-    def reach(self) -> FloatArray:
-        """(R, n) metres that each can change per radian of each joint, at most."""
-
-    def distances(self, q: FloatArray) -> FloatArray:
-        """(R, N) distance of every pair of bodies at every sample [m], for `q` (N, n)."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,11 +16,10 @@ from hil.core import FloatArray
 from hil.excitation.cache import ExcitationCache
 from hil.excitation.motion import Hold, Motion
 from hil.excitation.roadmap import Roadmap
-from hil.excitation.workspace import Workspace
+from hil.excitation.workspace import Distances, Workspace
 
 if TYPE_CHECKING:
     from hil.dynamics import RobotModel
-    from hil.excitation.problem import Distances
 
 
 @dataclass(frozen=True, slots=True)

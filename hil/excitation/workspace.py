@@ -1,4 +1,4 @@
-"""Where the arm may be and how fast it may go there; every collision question is asked here.
+"""Where the arm may be and how fast it may go there: limits, distances, and the flange's space.
 
 Well-spread clear poses are scrambled Sobol points of the joint ranges, less the colliding ones.
 """
@@ -34,7 +34,7 @@ class Clearance(Protocol):
     def clearances(self, paths: Sequence[FloatArray], enough: float | None = None) -> FloatArray:
         """(len(paths),) smallest distance [m] over all samples (N, n) of each path.
 
-        With `enough` [m] any one of a path's distances, below `enough` if there is such a one.
+        With `enough` [m], may stop early: returns any distance below `enough` if one exists.
         """
 
     def closest(self, q: FloatArray) -> tuple[float, tuple[str, str]]:
@@ -53,22 +53,26 @@ def beyond_range(
     )
 
 
-class Space(Protocol):
-    """Distances of the flange to the faces it has to stay inside (`hil.dynamics.FlangeSpace`)."""
+class Distances(Protocol):
+    """Distances that follow from the joint positions.
+
+    `hil.dynamics.CollisionModel` and `hil.dynamics.FlangeSpace` are such: between bodies, and of
+    the flange to the faces it has to stay inside.
+    """
 
     @property
     def names(self) -> Sequence[tuple[str, str]]:
-        """(R,) point at the flange and face of each distance."""
+        """(R,) between which two things; the point at the flange and the face of a space."""
 
     @property
     def reach(self) -> FloatArray:
         """(R, n) metres that each distance can change per radian of each joint, at most."""
 
     def distances(self, q: FloatArray) -> FloatArray:
-        """(R, N) distances [m] at `q` (N, n); negative beyond a face."""
+        """(R, N) distances [m] at `q` (N, n); negative where bodies overlap, or beyond a face."""
 
 
-def outside(space: Space, q: FloatArray, required_m: float) -> str:
+def outside(space: Distances, q: FloatArray, required_m: float) -> str:
     """Return which face of a space is nearest to the flange at `q` (n,), if nearer than required.
 
     Args:
@@ -87,7 +91,7 @@ def outside(space: Space, q: FloatArray, required_m: float) -> str:
     return f"the {point} is only {1e3 * depth:.1f} mm inside {face}, {required}"
 
 
-def ways_out(space: Space | None, q: FloatArray, required_m: float) -> list[str]:
+def ways_out(space: Distances | None, q: FloatArray, required_m: float) -> list[str]:
     """Return what helps where poses `q` (N, n) are too near to faces, beside other poses.
 
     Args:
@@ -133,7 +137,7 @@ class Workspace:
     jerk: float
     rate_hz: float
     condition: Callable[[FloatArray, FloatArray, FloatArray], float] | None = None
-    space: Space | None = None
+    space: Distances | None = None
     _known: dict[Motion, float] = field(default_factory=dict, init=False, repr=False)
     _known_depth: dict[Motion, float] = field(default_factory=dict, init=False, repr=False)
     _known_clear: dict[Motion, float] = field(default_factory=dict, init=False, repr=False)
@@ -184,9 +188,10 @@ class Workspace:
         return self._least(motions, self.collision.clearances, self._known)
 
     def keep_clear(self, motions: Sequence[Motion]) -> BoolArray:
-        """Return whether each motion keeps its distance at every sample; (len(motions),).
+        """Return whether each motion keeps clear of bodies at every sample; (len(motions),).
 
-        Takes less than `clearances`, and asking again costs nothing here either.
+        The faces of `space` do not count, see `depths`. Takes less than `clearances`, and asking
+        again costs nothing here either.
         """
         kept = self.clearance_m
         least = self._least(
@@ -238,9 +243,16 @@ class Workspace:
         return "; ".join(filter(None, (beyond_face, self._too_close(q))))
 
     def obstacle(self, motions: Sequence[Motion]) -> str:
-        """Return what is wrong where at least one motion has least room, or an empty string."""
+        """Describe what is wrong at the sample with the least room.
+
+        If that room is enough, describe the sample furthest beyond the position limits; empty if
+        all are within them. There must be at least one motion.
+        """
         q = np.concatenate([motion.sample(self.rate_hz).q for motion in motions])
-        return self.complaint(q[int(self.room(q).argmin())])
+        if complaint := self.complaint(q[int(self.room(q).argmin())]):
+            return complaint
+        beyond = np.maximum(self.q_min - q, q - self.q_max).max(axis=1)
+        return beyond_range(q[int(beyond.argmax())], self.joint_names, self.q_min, self.q_max)
 
     @property
     def larger_space(self) -> str:

@@ -22,7 +22,7 @@ from hil.dynamics import (
     conditioning,
     smallest_along_paths,
 )
-from hil.excitation import Motion, Space, Workspace, outside
+from hil.excitation import Distances, Motion, Workspace, outside
 from hil.planning.plan import Extremes, LoadStep, Step, extremes_of
 from hil.spec import (
     ClearanceInterlock,
@@ -171,7 +171,7 @@ def _too_narrow(interlocks: Sequence[Interlock], clearance_m: float) -> Iterator
 
 
 def _unreached(
-    excitation: Dwell | Fourier, arm: ArmDescription, space: Space, clearance_m: float
+    excitation: Dwell | Fourier, arm: ArmDescription, space: Distances, clearance_m: float
 ) -> Iterator[Excess]:
     """Yield that drawn poses do not come inside a space, if none of many does."""
     low, high = draw_range(excitation, arm)

@@ -119,8 +119,19 @@ def test_the_seed_decides() -> None:
 
 @pytest.mark.thorough
 def test_an_approach_without_room_is_said() -> None:
-    with pytest.raises(PlanError, match="can be reached and approached"):
+    reason = "can be reached and approached; on the way to a rejected one: joint .* its range"
+    with pytest.raises(PlanError, match=reason):
         program_of(toy_workspace(), approach_deg=120.0)
+
+
+@pytest.mark.parametrize(("clearance_m", "said"), [(1.0, "joint 1 at 143.2°"), (0.01, "arm and")])
+def test_what_is_wrong_with_a_motion_may_be_an_end_beyond_the_limits(
+    clearance_m: float, said: str
+) -> None:
+    """The motion begins with the least room; the end is named only where that room is enough."""
+    workspace = toy_workspace(lambda q: clearance_m + np.abs(q).sum(axis=1))
+    line = workspace.line(np.zeros(2), np.array([2.5, 0.0]))
+    assert workspace.obstacle([line]).startswith(said)
 
 
 def test_an_unreachable_visit_is_replaced_by_a_spare() -> None:
