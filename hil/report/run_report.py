@@ -21,6 +21,7 @@ from hil.data import Dataset
 from hil.importers import robot_of_run
 from hil.recording import RunDirectory
 from hil.report.documents import Document, as_float, as_index, as_object, as_objects
+from hil.report.figures import figures_of
 from hil.report.fit_facts import FitFacts, best_first, read_fits
 from hil.report.model_sections import model_sections
 from hil.report.next_step import next_command
@@ -38,7 +39,7 @@ from hil.report.page import (
 )
 from hil.report.predictions import Predictions, held_out_of, predict_with_file
 from hil.report.run_facts import RunFacts, read_facts
-from hil.report.run_figures import RunView, figures_of
+from hil.report.run_figures import RunView
 from hil.report.run_recording import Recording, ReferenceDrift, dataset_of, drift_of, read_recording
 from hil.report.run_summary import (
     ENDINGS,

@@ -25,7 +25,7 @@ torch = pytest.importorskip("torch", reason="torch is not installed")
 
 from hil.networks import lagrangian as trainings  # noqa: E402
 from hil.networks.lagrangian_data import smooth_sign  # noqa: E402
-from hil.report import run_figures as figures  # noqa: E402
+from hil.report import model_figures as figures  # noqa: E402
 from hil.report.predictions import predict_with  # noqa: E402
 
 QUICK = {"epochs": 3, "batch_size": 300, "device": "cpu"}

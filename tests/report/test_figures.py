@@ -15,14 +15,15 @@ from hypothesis import strategies as st
 
 from hil.core.typing import FloatArray
 from hil.data import Conditions
-from hil.report import colours
-from hil.report import run_figures as figures
+from hil.report import colours, figures, model_figures, run_figures
 from hil.report.colours import PALETTE
 from hil.report.curves import binned, decimated, extremes, has_names, summarised, thinned
+from hil.report.figures import FIGURES, figures_of
 from hil.report.matplotlib_figure import THEME, drawn, following_the_screen
+from hil.report.model_figures import ModelView
 from hil.report.plotly_figure import figure_json, panel_of, plotly_of
 from hil.report.predictions import MotionPredictions
-from hil.report.run_figures import FIGURES, ModelView, RunView, figures_of
+from hil.report.run_figures import RunView
 from hil.studies.figure import Curve, Figure, Panel
 from tests.support.panels import NAMES, PANELS, A, B, T, panel
 from tests.support.report_html import array_of
@@ -82,14 +83,14 @@ def test_a_figure_is_added_by_one_registered_function(monkeypatch):
     def nothing_new(view):
         return Figure("new", "Something new", "", ())
 
-    view = ModelView(None, figures.Predictions(None, None))
+    view = ModelView(None, model_figures.Predictions(None, None))
     monkeypatch.setitem(FIGURES, "model", [m for m in FIGURES["model"] if "learn" not in str(m)])
     assert [made.title for made in figures_of("model", view)] == ["Something new"]
     assert RunView.__slots__[:2] == ("facts", "recording")
 
 
 def test_arrays_travel_as_float32_and_come_back():
-    curve = figures.joint_curves(T, A[:, None], ["one"])
+    curve = run_figures.joint_curves(T, A[:, None], ["one"])
     found = json.loads(figure_json(plotly_of(panel(*curve))))["data"][0]
     x, y = array_of(found["x"]), array_of(found["y"])
     assert found["y"]["dtype"] == "f4"
@@ -116,13 +117,13 @@ def test_names_cannot_become_markup_inside_plotly():
 
 
 def test_coverage_counts_every_finite_sample():
-    z = figures.counted_grid(np.append(A, np.nan), np.append(B, 1.0)).log_count
+    z = run_figures.counted_grid(np.append(A, np.nan), np.append(B, 1.0)).log_count
     assert round(float(np.nansum(10.0**z))) == 3000
 
 
 def test_coverage_is_counted_on_so_many_rows_at_most(monkeypatch):
-    monkeypatch.setattr(figures, "COVERAGE_ROWS", 60)
-    grid = figures.position_velocity_coverage(run_of(119, joints=2)).panels[0].grid
+    monkeypatch.setattr(run_figures, "COVERAGE_ROWS", 60)
+    grid = run_figures.position_velocity_coverage(run_of(119, joints=2)).panels[0].grid
     assert round(float(np.nansum(10.0**grid.log_count))) == 60
 
 
@@ -131,7 +132,7 @@ def test_coverage_is_counted_on_so_many_rows_at_most(monkeypatch):
     [(2, ["J1 and J2"]), (3, ["J1 and J2", "J2 and J3"]), (4, ["J1 and J2", "J3 and J4"])],
 )
 def test_the_pose_map_pairs_every_joint_with_another(joints, pairs):
-    made = figures.pose_map(run_of(12, joints))
+    made = run_figures.pose_map(run_of(12, joints))
     assert [panel.title for panel in made.panels] == pairs
 
 
@@ -161,11 +162,11 @@ def test_the_worst_trajectory_is_described_by_its_own_residual():
     fit = SimpleNamespace(
         unit="A", joint_names=["j"], fast_part="noise", values=lambda key: np.zeros(1)
     )
-    view = ModelView(fit, figures.Predictions(None, motions))
+    view = ModelView(fit, model_figures.Predictions(None, motions))
     for make, rms in (
-        (figures.trajectory_compared, "2.00"),
-        (figures.trajectory_residual_over_time, "2.00"),
-        (figures.residual_over_velocity, "1.41"),
+        (model_figures.trajectory_compared, "2.00"),
+        (model_figures.trajectory_residual_over_time, "2.00"),
+        (model_figures.residual_over_velocity, "1.41"),
     ):
         (drawn,) = make(view).panels
         assert drawn.alt.endswith(f"residual RMS {rms} A")
@@ -176,16 +177,16 @@ def test_regression_states_the_correlation():
     from scipy.stats import pearsonr
 
     predicted = A + 0.5 * B
-    _, text = figures.regression_curves(A, predicted)
+    _, text = model_figures.regression_curves(A, predicted)
     assert text == f"R = {pearsonr(A, predicted).statistic:.4f}"
 
 
 def test_regression_of_a_constant_prediction_says_that_r_is_undefined():
-    assert figures.regression_curves(A, np.ones_like(A))[1] == "R undefined"
+    assert model_figures.regression_curves(A, np.ones_like(A))[1] == "R undefined"
 
 
 def test_dwells_stand_in_the_order_of_the_prediction_and_keep_their_side():
-    below, above, predicted = figures.dwell_curves(
+    below, above, predicted = model_figures.dwell_curves(
         np.array([1.1, 3.1, 2.1]), np.array([1.0, 3.0, 2.0]), np.array([1, -1, 1]),
         np.array([7, 8, 9]),
     )  # fmt: skip
@@ -196,11 +197,11 @@ def test_dwells_stand_in_the_order_of_the_prediction_and_keep_their_side():
 
 def test_a_joint_that_was_not_measured_is_left_out():
     values = np.column_stack([A, np.full(3000, np.nan)])
-    assert [curve.name for curve in figures.joint_curves(T, values, NAMES)] == ["J1 one"]
+    assert [curve.name for curve in run_figures.joint_curves(T, values, NAMES)] == ["J1 one"]
 
 
 def test_the_mean_residual_follows_a_trend():
-    curves = figures.residual_curves(A, 0.5 * A + 0.01 * B)
+    curves = model_figures.residual_curves(A, 0.5 * A + 0.01 * B)
     mean = next(curve for curve in curves if curve.name == "mean")
     np.testing.assert_allclose(mean.y, 0.5 * mean.x, atol=0.1)
 

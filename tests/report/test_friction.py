@@ -15,7 +15,7 @@ from hil.estimators.diffnea_friction import FORMS
 from hil.estimators.rigid_irls import RigidIrls
 from hil.estimators.rigid_linear import RigidLeastSquares, RigidWls
 from hil.estimators.static_model import StaticWls
-from hil.report import run_figures as figures
+from hil.report import model_figures as figures
 from hil.report.page import Page, page_html
 from hil.report.predictions import Predictions, predict_with
 from hil.report.run_report import run_page

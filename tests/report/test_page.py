@@ -26,13 +26,13 @@ from hil.recording import McapWriter
 from hil.report import colours, render_fit_report, render_report, run_report, summary_lines
 from hil.report.curves import decimated, dressed, in_parts
 from hil.report.fit_facts import FitFacts
+from hil.report.model_figures import ModelView, error_per_joint, learning_curves, learning_panel
 from hil.report.model_sections import _setting, criteria_under_loads, model_sections
 from hil.report.next_step import next_commissioning
 from hil.report.page import page_html
 from hil.report.plotly_figure import figure_json, plotly_of
 from hil.report.predictions import Predictions
 from hil.report.run_facts import RunFacts, read_facts
-from hil.report.run_figures import ModelView, error_per_joint, learning_curves, learning_panel
 from hil.report.run_recording import dataset_of, read_recording
 from hil.report.run_report import run_page, timeline
 from hil.report.run_summary import load_name, weighing_warnings, weighings

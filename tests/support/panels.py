@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.report import colours
-from hil.report import run_figures as figures
+from hil.report import colours, model_figures, run_figures
 from hil.report.curves import dressed
 from hil.studies.figure import Axis, Band, Curve, Figure, Look, Mark, Panel
 
@@ -33,14 +32,15 @@ def panel(*curves, **more):
 
 
 PANELS = {
-    "dwells": panel(*figures.dwell_curves(A, B, SIDES, np.arange(3000))),
-    "residual": panel(*figures.residual_curves(A, B), band=Band("noise", 0.1)),
-    "regression": panel(*figures.regression_curves(A, B)[0], corner="R = 0.5"),
+    "dwells": panel(*model_figures.dwell_curves(A, B, SIDES, np.arange(3000))),
+    "residual": panel(*model_figures.residual_curves(A, B), band=Band("noise", 0.1)),
+    "regression": panel(*model_figures.regression_curves(A, B)[0], corner="R = 0.5"),
     "bars": panel(*BARS, Curve("n", ("J1", "J2"), A[:2], "ticks", look=Look(colours.LIMIT))),
     "joints": panel(
-        *figures.joint_curves(T, np.column_stack([A, B]), NAMES), figures.limit_line(T[:2], 3.0)
+        *run_figures.joint_curves(T, np.column_stack([A, B]), NAMES),
+        run_figures.limit_line(T[:2], 3.0),
     ),
-    "grid": panel(grid=figures.counted_grid(A, B)),
+    "grid": panel(grid=run_figures.counted_grid(A, B)),
     "powers": panel(Curve("p", T[:9], 10.0 ** -T[:9]), y_axis=Axis("log", (1e-9, 1.0))),
     "dates": panel(
         Curve("d", ("2026-11-22 10:00:00", "2026-11-23 10:00:00"), (1.0, 2.0), "marked"),
