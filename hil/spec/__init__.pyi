@@ -34,13 +34,13 @@ from .interlocks import WorkspaceInterlock as WorkspaceInterlock
 from .judgeable import Excess as Excess
 from .judgeable import misjudged as misjudged
 from .judgeable import require_judgeable as require_judgeable
-from .load import is_path as is_path
-from .load import lay_over as lay_over
 from .load import load_spec as load_spec
 from .load import load_station as load_station
 from .load import resolve_robot as resolve_robot
-from .load import resolved_text as resolved_text
 from .load import spec_from_text as spec_from_text
+from .look_up import is_path as is_path
+from .overrides import lay_over as lay_over
+from .overrides import resolved_text as resolved_text
 from .schedule import KEY as KEY
 from .schedule import Blackout as Blackout
 from .schedule import ScheduleSpec as ScheduleSpec

@@ -1,47 +1,46 @@
 """Load experiments and stations; one error lists everything that is wrong with a file.
 
-A file is parsed, values from the command line (`--set excitation.waypoints=12`) are laid over it,
-and what it names outside itself (estimators, studies, interlocks, drivers, arms, files) is looked
-up. These checks read the parsed data and not the validated model, so that their findings come in
-the same report as everything else that is wrong with the file.
+A file is parsed, values from the command line are laid over it (`overrides`), what it names outside
+itself is looked up (`look_up`), and the rest is validated by its model.
 """
 
 from __future__ import annotations
 
-import inspect
-import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from copy import deepcopy
 from pathlib import Path as FilePath
 from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
-from hil.arms import arm_names
 from hil.core import (
     MOST_PROBLEMS,
-    HilError,
     KeyPath,
-    PluginError,
     Problem,
     Source,
     SpecError,
-    closest,
     did_you_mean,
     dotted,
     no_file_but,
     parse,
-    plugins,
     read_source,
     refuse,
     shown,
-    yaml_text,
 )
 from hil.spec.errors import explain, findings_of
 from hil.spec.experiment import Dwell, ExperimentSpec
 from hil.spec.field_types import Strict
-from hil.spec.interlocks import INTERLOCK_KINDS
+from hil.spec.look_up import (
+    check_estimators,
+    check_interlocks,
+    check_pose_file,
+    check_robots,
+    check_studies,
+    is_file,
+    is_path,
+)
 from hil.spec.model_tree import key_above
+from hil.spec.overrides import lay_over
 from hil.spec.station import Station, StationRobot
 
 _NO_OVERRIDES: Mapping[str, str] = {}
@@ -288,347 +287,3 @@ def make_absolute(source: Source, place: KeyPath, folder: FilePath) -> None:
     if wrong := wrong_kind(file, "hil_station" if place[-1] == "station" else "hil"):
         source.add(place, wrong)
     holder[place[-1]] = str(file.resolve())
-
-
-def lay_over(source: Source, overrides: Mapping[str, str]) -> None:
-    """Set values in a parsed file; each is YAML, its key the dotted path (`loads.0.mass_kg`).
-
-    Mappings on the way are made as needed, also in place of null; lists must be long enough, or may
-    be replaced whole. Problems are collected in the source, under the name `--set N`.
-
-    Raises:
-        SpecError: A value is not YAML, there is no such place, or one would undo another.
-    """
-    _require_apart(list(overrides))
-    for number, (dotted_key, text) in enumerate(overrides.items(), 1):
-        name = f"--set {number}"
-        told = f"{name}: {shown(dotted_key)}"
-        value = parse(text, told) if text.strip() else Source(told)
-        source.problems += value.problems
-        path = _path_in(source.data, dotted_key)
-        if why := "a step of it is empty" if "" in path else _set(source.data, path, value.data):
-            message = f"{told}: there is no such place in {source.name}: {why}"
-            raise SpecError(message, hint="a path is dotted, such as loads.0.mass_kg")
-        source.replaced(path, name)
-
-
-def _require_apart(dotted_keys: list[str]) -> None:
-    """No path twice and none below another: the last would undo what the first is said to be."""
-    paths = [_comparable(key) for key in dotted_keys]
-    for second, path in enumerate(paths):
-        for first, other in enumerate(paths[:second]):
-            shorter = min(len(path), len(other))
-            if path[:shorter] != other[:shorter]:
-                continue
-            longer = "would change" if len(path) > len(other) else "is"
-            does = "would replace" if len(path) < len(other) else longer
-            raise SpecError(
-                f"--set {second + 1}: {shown(dotted_keys[second])}: {does} "
-                f"{shown(dotted_keys[first])} of --set {first + 1}",
-                hint="give each path once, and none below another: put both into one value",
-            )
-
-
-def _comparable(dotted_key: str) -> tuple[str, ...]:
-    """Steps of a path, an index always written the same."""
-    return tuple(
-        step.lstrip("0") or "0" if _is_index(step) else step for step in dotted_key.split(".")
-    )
-
-
-def _is_index(step: str) -> bool:
-    return step.isascii() and step.isdigit()
-
-
-def _path_in(data: Any, dotted_key: str) -> KeyPath:
-    path: list[str | int] = []
-    for step in dotted_key.split("."):
-        is_index = isinstance(data, list) and _is_index(step)
-        path.append(int(step.lstrip("0")[:9] or "0") if is_index else step)
-        data = _child(data, path[-1])
-    return tuple(path)
-
-
-def _child(data: Any, step: str | int) -> Any:
-    if isinstance(data, dict):
-        return data.get(step)
-    if isinstance(data, list) and isinstance(step, int) and step < len(data):
-        return data[step]
-    return None
-
-
-def _set(data: Any, path: KeyPath, value: Any) -> str:
-    """Put `value` at `path`; why not, where a list or a plain value is in the way."""
-    for step in path[:-1]:
-        if not _has_place(data, step):
-            return _in_the_way(data, step)
-        if _child(data, step) is None:
-            data[step] = {}
-        data = data[step]
-    if not _has_place(data, path[-1]):
-        return _in_the_way(data, path[-1])
-    data[path[-1]] = value
-    return ""
-
-
-def _has_place(data: Any, step: str | int) -> bool:
-    """Return whether `data` is a mapping, or a list that has the entry `step`; it may be null."""
-    if isinstance(data, list):
-        return isinstance(step, int) and step < len(data)
-    return isinstance(data, dict)
-
-
-def _in_the_way(data: Any, step: str | int) -> str:
-    if isinstance(data, list):
-        known = f"entries 0 to {len(data) - 1}" if data else "no entries"
-        return f"there is a list with {known}, not {shown(step)}"
-    return f"{shown(step)} would be below {shown(data)}"
-
-
-def resolved_text(path: FilePath, overrides: Mapping[str, str]) -> str:
-    """A file as it is with its overrides: YAML without its comments, but with a word of those.
-
-    Raises:
-        SpecError: The file cannot be read, or an override cannot be laid over it.
-    """
-    source = read_source(path)
-    lay_over(source, overrides)
-    said = "".join(
-        f"#   --set {shown(key, 300)}={shown(text, 300)}\n" for key, text in overrides.items()
-    )
-    return f"# {path.name}, with\n{said}{yaml_text(source.data)}"
-
-
-def check_estimators(source: Source) -> None:
-    """Names under `fit` must be estimators for this excitation, keys beside them their parameters.
-
-    The estimators are imported: one that cannot be is found here, and not after hours of motion.
-    """
-    for path, entry in _entries(source, "fit"):
-        _check_named(source, path, entry, "estimator", "hil.estimators")
-
-
-def _entries(source: Source, key: str) -> Iterator[tuple[KeyPath, dict[str, Any]]]:
-    """The mappings in a list or mapping at the top of the file, with their paths."""
-    group = source.at((key,))
-    if isinstance(group, dict):
-        steps: list[tuple[str | int, Any]] = list(group.items())
-    else:
-        steps = list(enumerate(group)) if isinstance(group, list) else []
-    return (((key, step), entry) for step, entry in steps if isinstance(entry, dict))
-
-
-def _check_named(
-    source: Source, path: KeyPath, entry: dict[str, Any], word: str, group: str
-) -> None:
-    """An entry whose key `word` names a plug-in and whose other keys are its parameters."""
-    name = entry.get(word)
-    if not isinstance(name, str):
-        return
-    if name not in (known := plugins.names(group)):
-        options = did_you_mean(name, known) if known else "none is installed"
-        source.add((*path, word), f"there is no {word} '{shown(name)}'; {options}")
-        return
-    try:
-        plugin = plugins.load(group, name)
-    except PluginError as error:
-        source.add((*path, word), f"{error.message} → {error.hint}")
-        return
-    _check_excitation(source, (*path, word), name, plugin)
-    given = {key: value for key, value in entry.items() if key != word}
-    _check_parameters(source, (*path, word), name, given, plugin)
-
-
-RECORDED = {"dwell": ("dwell", "dwells"), "fourier": ("trajectory", "trajectories")}
-"""Kind of excitation → the series it is run for, singular as in the data and plural for people."""
-
-
-def _check_excitation(source: Source, path: KeyPath, name: str, plugin: Any) -> None:
-    """The program must record what it is made for; the moves in between do not count.
-
-    An estimator that can make do with other series does so on recordings of other origin
-    (`hil fit`), where there is nothing better. In a program of its own it would be starved: a
-    Fourier program stands still at the ends of its trajectories only, and the moves of a dwell
-    program are no trajectories that could be held out.
-    """
-    kind = source.at(("excitation", "kind"))
-    kinds = getattr(plugin, "series_kinds", ())
-    if not (isinstance(kind, str) and kind in RECORDED and kinds):
-        return
-    recorded, plural = RECORDED[kind]
-    if recorded not in kinds[0]:
-        wanted = " or ".join(f"kind: {k}" for k, (r, _) in RECORDED.items() if r in kinds[0])
-        message = f"{name} cannot use the {plural} of this excitation"
-        source.add(path, f"{message}; it needs {wanted or ', '.join(kinds[0])}")
-
-
-def _check_parameters(
-    source: Source, named: KeyPath, name: str, given: dict[str, Any], plugin: Any
-) -> None:
-    """Check the parameters of a plug-in whose name is at `named`, beside them."""
-    path, known = named[:-1], _keywords(plugin)
-    unknown = [key for key in given if known is not None and key not in known]
-    for key in unknown:
-        source.add((*path, key), _no_parameter(name, key, known or []), key=True)
-    if unknown:
-        return
-    if lacking := [key for key in _required(plugin) if key not in given]:
-        source.add(named, f"{name} needs {', '.join(lacking)}")
-    elif given:
-        _check_values(source, path, plugin, given)
-
-
-_NAMED = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
-
-
-def _keywords(plugin: Any, after: int = 0) -> list[str] | None:
-    """Return the names of keyword parameters, or None when the plug-in takes any.
-
-    Args:
-        plugin: A class or function.
-        after: So many parameters at the beginning are left out.
-    """
-    parameters = _signature(plugin)
-    if parameters is None or any(p.kind is p.VAR_KEYWORD for p in parameters):
-        return None
-    return [p.name for p in parameters[after:] if p.kind in _NAMED]
-
-
-def _required(plugin: Any, after: int = 0) -> list[str]:
-    """Return the names of parameters without default; arguments as in `_keywords`."""
-    named = (inspect.Parameter.POSITIONAL_ONLY, *_NAMED)
-    parameters = (_signature(plugin) or [])[after:]
-    return [p.name for p in parameters if p.kind in named and p.default is p.empty]
-
-
-def _signature(plugin: Any) -> list[inspect.Parameter] | None:
-    """Return all parameters of a plug-in, or None where they cannot be read."""
-    try:
-        return list(inspect.signature(plugin).parameters.values())
-    except (TypeError, ValueError):
-        return None
-
-
-def _no_parameter(name: str, key: str, known: list[str]) -> str:
-    message = f"{name} has no parameter '{shown(key)}'"
-    if not known:
-        return f"{message}; it takes none"
-    if match := closest(key, known):
-        message += f"; did you mean {match!r}?"
-    return f"{message} (it has {', '.join(known)})"
-
-
-def _check_values(source: Source, path: KeyPath, plugin: Any, given: dict[str, Any]) -> None:
-    """Let the constructor judge its parameters; by contract it does no work."""
-    try:
-        plugin(**given)
-    except Exception as error:
-        told = _first_line(error)
-        culprit = next((key for key in given if re.match(rf"{re.escape(key)}\b", told)), None)
-        source.add((*path, culprit) if culprit else path, told)
-
-
-def _first_line(error: Exception) -> str:
-    """What a constructor complains about, in one line that begins with the parameter."""
-    if isinstance(error, ValidationError):
-        first = error.errors(include_url=False)[0]
-        return ": ".join((".".join(str(step) for step in first["loc"]), first["msg"]))
-    message = error.message if isinstance(error, HilError) else str(error)
-    line = shown(message.partition("\n")[0] or type(error).__name__, most=300)
-    hint = error.hint if isinstance(error, HilError) else ""
-    return f"{line} → {hint}" if hint else line
-
-
-def check_studies(source: Source) -> None:
-    """Names under `study` must be studies of such a run, keys beside them their parameters."""
-    for path, entry in _entries(source, "study"):
-        _check_named(source, path, entry, "study", "hil.studies")
-
-
-def check_interlocks(source: Source) -> None:
-    """Kinds under `interlocks` must be built in or plug-ins, keys beside them their parameters.
-
-    A plug-in is imported: one that cannot be is found here, and not with the robot switched on.
-    """
-    for path, entry in _entries(source, "interlocks"):
-        kind = entry.get("kind")
-        if not isinstance(kind, str) or kind in INTERLOCK_KINDS:
-            continue
-        if kind not in (plugged := plugins.names("hil.interlocks")):
-            close = did_you_mean(kind, [*INTERLOCK_KINDS, *plugged])
-            source.add((*path, "kind"), f"there is no kind '{shown(kind)}'; {close}")
-        else:
-            _check_plugged(source, path, kind, entry)
-
-
-def _check_plugged(source: Source, path: KeyPath, kind: str, entry: dict[str, Any]) -> None:
-    try:
-        plugin = plugins.load("hil.interlocks", kind)
-    except PluginError as error:
-        source.add((*path, "kind"), f"{error.message} → {error.hint}")
-        return
-    # The first parameter is its context; the spec itself knows the others.
-    known, unknown = _keywords(plugin, after=1), []
-    if known is not None:
-        own = [name for name in known if name != "action"]
-        unknown = [key for key in entry if key not in ("kind", "action", "enabled", *own)]
-        for key in unknown:
-            source.add((*path, key), _no_parameter(kind, key, own), key=True)
-    lacking = [name for name in _required(plugin, after=1) if name not in (*entry, "action")]
-    if lacking and not unknown:  # else it is there under a name that was mistyped
-        source.add((*path, "kind"), f"{kind} needs {', '.join(lacking)}")
-
-
-def check_robots(source: Source, folder: FilePath) -> None:
-    """Drivers must be registered, models be built-in arms or existing files.
-
-    Such a file is a URDF or the description of an arm.
-    """
-    known = plugins.names("hil.drivers")
-    for path, robot in _entries(source, "robots"):
-        driver, model = robot.get("driver"), robot.get("model")
-        if isinstance(driver, str) and driver not in known:
-            message = f"there is no driver '{shown(driver)}'; {did_you_mean(driver, known)}"
-            source.add((*path, "driver"), message)
-        if isinstance(model, str) and (message := _fault_of_model(model, folder)):
-            source.add((*path, "model"), message)
-
-
-def _fault_of_model(model: str, folder: FilePath) -> str:
-    if is_path(model):
-        return "" if is_file(folder / model) else _missing(folder / model)
-    if model in arm_names():
-        return ""
-    hint = did_you_mean(model, arm_names())
-    end = "" if hint.endswith("?") else "."
-    return f"there is no built-in arm '{shown(model)}'; {hint}{end} A URDF is named by its path."
-
-
-def _missing(path: FilePath) -> str:
-    """Return the message for a missing file, with suggestions of the same ending."""
-    return no_file_but(path, [path.suffix.casefold()])
-
-
-def check_pose_file(source: Source, folder: FilePath) -> None:
-    """The file of poses that a dwell program names must exist."""
-    path: KeyPath = ("excitation", "file")
-    file = source.at(path)
-    if isinstance(file, str) and not is_file(folder / file):
-        source.add(path, _missing(folder / file))
-
-
-PATHS = (".urdf", ".xml", ".yaml", ".yml")
-"""Endings of models that are files: a URDF, or a description of an arm."""
-
-
-def is_path(model: str) -> bool:
-    """True when a robot's `model` is a path and not the name of a built-in arm."""
-    return "/" in model or "\\" in model or model.casefold().endswith(PATHS)
-
-
-def is_file(path: FilePath) -> bool:
-    """True for an existing file; names no file system takes are none."""
-    try:
-        return path.is_file()
-    except (OSError, ValueError):
-        return False

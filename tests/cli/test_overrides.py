@@ -13,7 +13,7 @@ from hil.cli.app import app
 from hil.core.errors import SpecError
 from hil.planning.experiment import load as load_experiment
 from hil.spec import load_spec, spec_from_text, spec_hash
-from hil.spec.load import resolved_text
+from hil.spec.overrides import resolved_text
 
 SPEC = """\
 hil: 1

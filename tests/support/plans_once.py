@@ -12,7 +12,7 @@ from hil.planning import robots
 from hil.planning.build import build_plan
 from hil.planning.plan import Plan
 from hil.spec import ExperimentSpec, StationRobot
-from hil.spec.load import is_path
+from hil.spec.look_up import is_path
 from hil.workflow import preview
 
 _MADE: dict[tuple[str, ...], Plan] = {}
