@@ -20,8 +20,9 @@ from hil_drivers.cia402.can_cycle import CanCyclic
 from hil_drivers.cia402.core import Core
 from hil_drivers.cia402.mapping import POSITION
 from hil_drivers.cia402.objects import CSP
-from hil_drivers.cia402.player import Player, Track
+from hil_drivers.cia402.player import Player
 from hil_drivers.cia402.supervisor import Supervisor
+from hil_drivers.cia402.track import Track
 
 RAD_PER_INCREMENT = 2.0 * math.pi / 2**20 / 100.0
 
@@ -60,7 +61,7 @@ def measure(channel: str, rate_hz: float, seconds: float) -> dict[str, float]:
         core.enable(CSP)
         positions = swing(rate_hz, SETTLE_S + seconds + 1.0, len(NODES)) + player.position
         nothing = np.zeros_like(positions)
-        core.prepare(Track(0, positions, nothing, nothing))
+        core.prepare(Track(0, positions, nothing, nothing, nothing))
         taken: list[int] = []
         over = threading.Event()
         taker = threading.Thread(target=_take, args=(core, over, taken))

@@ -36,7 +36,7 @@ from .robot_model import GRAVITY as GRAVITY
 from .robot_model import MOTOR_SIDE as MOTOR_SIDE
 from .robot_model import RobotModel as RobotModel
 from .robot_model import load_model as load_model
-from .robot_model import may_be as may_be
+from .same_arm import may_be as may_be
 from .sample_distances import SampleDistances as SampleDistances
 from .weighing import CALIBRATED_SHARE as CALIBRATED_SHARE
 from .weighing import GAIN_SHARE as GAIN_SHARE

@@ -1,15 +1,12 @@
 """A serial arm as a model, vectorised over samples: a thin layer over Pinocchio.
 
 It is made from a description of an arm or a URDF, stored by what it was made from, and loaded with
-payloads. `CoupledModel` is an arm whose motors move more than one joint; `may_be` says whether a
-recording that names a robot may be of a given model.
+payloads. `CoupledModel` is an arm whose motors move more than one joint.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -555,72 +552,3 @@ def _box(matrix: FloatArray, low: FloatArray, high: FloatArray) -> tuple[FloatAr
     """Lowest and highest value of every row of matrix·x over low ≤ x ≤ high."""
     ends = np.stack([matrix * low, matrix * high])
     return ends.min(axis=0).sum(axis=1), ends.max(axis=0).sum(axis=1)
-
-
-APART_M, APART_RAD = 0.01, 0.05
-"""By as much the axes of one arm may differ between two descriptions: a calibrated one, say."""
-
-
-def may_be(name: str, robot: RobotModel) -> bool:
-    """Whether data of the robot `name` may be of `robot`.
-
-    Two built-in arms are compared by name. A path says nothing: a URDF or a description of an arm
-    is compared with another robot by the distance and the angle between each joint's axis and the
-    next one's. A file that cannot be read here and an unknown name may be any robot.
-
-    Args:
-        name: Built-in arm, path of a URDF or a description, or nothing.
-        robot: The model.
-    """
-    given, own = name.removesuffix(MOTOR_SIDE), robot.name.removesuffix(MOTOR_SIDE)
-    if not given or given == own:
-        return True
-    other = _axes_of(given)
-    if other is None:
-        return True
-    by_name = robot.arm is not None and not _is_file(own) and not _is_file(given)
-    return not by_name and _alike(other, _axes(robot))
-
-
-@lru_cache(maxsize=32)
-def _axes_of(name: str) -> tuple[FloatArray, FloatArray] | None:
-    try:
-        return _axes(load_model(name))
-    except (SpecError, DataError, OSError):
-        return None
-
-
-def _axes(robot: RobotModel) -> tuple[FloatArray, FloatArray]:
-    """(n − 1,) distances [m] and angles [rad] between consecutive axes: no convention counts."""
-    geometry = robot.joint_geometry()
-    at, lines = np.eye(4), []
-    for placement, axis in zip(geometry.placement, geometry.axis, strict=True):
-        at = at @ placement
-        lines.append((at[:3, 3], at[:3, :3] @ axis))
-    pairs = [_between(*one, *two) for one, two in pairwise(lines)]
-    slides = ~(geometry.turns[1:] & geometry.turns[:-1])
-    apart, inclined = np.array(pairs).reshape(-1, 2).T
-    return np.where(slides, 0.0, apart), inclined  # what slides is anywhere on its axis
-
-
-def _between(
-    p: FloatArray, axis: FloatArray, other: FloatArray, other_axis: FloatArray
-) -> tuple[float, float]:
-    """Distance and angle of two lines, each by a point and a direction of length 1."""
-    across = np.cross(axis, other_axis)
-    size = float(np.linalg.norm(across))
-    inclined = float(np.arcsin(min(size, 1.0)))
-    if inclined < APART_RAD:
-        return float(np.linalg.norm(np.cross(other - p, axis))), inclined
-    return abs(float((other - p) @ across)) / size, inclined
-
-
-def _is_file(name: str) -> bool:
-    return bool(Path(name).suffix) or "/" in name
-
-
-def _alike(one: tuple[FloatArray, FloatArray], other: tuple[FloatArray, FloatArray]) -> bool:
-    if one[0].shape != other[0].shape:
-        return False
-    pairs = zip(one, other, (APART_M, APART_RAD), strict=True)
-    return all(np.allclose(a, b, rtol=0.0, atol=limit) for a, b, limit in pairs)

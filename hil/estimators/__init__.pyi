@@ -23,7 +23,6 @@ from .checks import require_sizes as require_sizes
 from .checks import torque_scale as torque_scale
 from .conformal import STANDSTILL as STANDSTILL
 from .conformal import SpeedBands as SpeedBands
-from .consistent import InertialBounds as InertialBounds
 from .consistent import consistent_least_squares as consistent_least_squares
 from .diffnea import RigidDiffnea as RigidDiffnea
 from .diffnea_friction import FORMS as FORMS
@@ -56,6 +55,7 @@ from .friction_library import FrictionLaw as FrictionLaw
 from .friction_library import column_names as column_names
 from .friction_memory import dahl_states as dahl_states
 from .friction_memory import path_steps as path_steps
+from .inertial_bounds import InertialBounds as InertialBounds
 from .model_file import Training as Training
 from .model_file import model_files as model_files
 from .model_file import save_model as save_model

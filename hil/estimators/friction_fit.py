@@ -25,9 +25,10 @@ import numpy as np
 from hil.core import FloatArray, IntArray
 from hil.data import Dataset
 from hil.dynamics import BaseParameters
-from hil.estimators.consistent import InertialBounds, consistent_least_squares
+from hil.estimators.consistent import consistent_least_squares
 from hil.estimators.friction_library import CORE, FrictionMotion, Shapes
 from hil.estimators.friction_memory import Pieces
+from hil.estimators.inertial_bounds import InertialBounds
 from hil.estimators.least_squares import (
     JointwiseQR,
     Solution,

@@ -50,7 +50,7 @@ from hil.estimators.checks import (
     require_sizes,
     torque_scale,
 )
-from hil.estimators.consistent import IDENTIFY, InertialBounds
+from hil.estimators.consistent import IDENTIFY
 from hil.estimators.friction_fit import (
     AS_GOOD,
     Block,
@@ -84,6 +84,7 @@ from hil.estimators.friction_library import (
     usual_temperatures,
 )
 from hil.estimators.friction_memory import path_steps
+from hil.estimators.inertial_bounds import InertialBounds
 from hil.estimators.parameters import flag, number, parameter, settings
 from hil.estimators.streaming import DahlMemory, SampleStream
 

@@ -15,8 +15,8 @@ import numpy as np
 from hil.core import BoolArray, FloatArray
 from hil.data import Dataset, filter_columns
 from hil.estimators.checks import require_sizes
-from hil.estimators.consistent import MASS_FACTOR, InertialBounds
 from hil.estimators.friction_curve import best_exponent, power_of_speed
+from hil.estimators.inertial_bounds import MASS_FACTOR, InertialBounds
 from hil.estimators.least_squares import Solution
 from hil.estimators.parameters import choice, flag, number, parameter
 from hil.estimators.rigid_linear import TERMS, RigidClassical

@@ -15,13 +15,8 @@ import numpy as np
 from hil.core import FloatArray, IntArray
 from hil.dynamics import BaseParameters
 from hil.estimators.checks import require_sizes
-from hil.estimators.consistent import (
-    IDENTIFY,
-    MASS_FACTOR,
-    Consistent,
-    InertialBounds,
-    consistent_least_squares,
-)
+from hil.estimators.consistent import IDENTIFY, Consistent, consistent_least_squares
+from hil.estimators.inertial_bounds import MASS_FACTOR, InertialBounds
 from hil.estimators.least_squares import (
     JointwiseQR,
     Solution,

@@ -11,7 +11,7 @@ import pytest
 
 from hil.core.errors import DataError, FitError
 from hil.dynamics import RobotModel, load_model
-from hil.dynamics.robot_model import may_be
+from hil.dynamics.same_arm import may_be
 from hil.estimators import load_model_file
 from hil.estimators.checks import require_plausible
 from hil.estimators.payload import estimate_payload

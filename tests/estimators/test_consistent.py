@@ -10,7 +10,8 @@ from scipy.optimize import minimize
 from hil.core.errors import PluginError
 from hil.dynamics import RobotModel, base_parameters
 from hil.dynamics.inertial import from_pseudo_inertia, pseudo_inertia
-from hil.estimators.consistent import InertialBounds, ReferenceCoordinates, consistent_least_squares
+from hil.estimators.consistent import ReferenceCoordinates, consistent_least_squares
+from hil.estimators.inertial_bounds import InertialBounds
 from tests.support.synthetic_motion import fourier, nominal, plant
 
 EYE = np.array([1.0, 0.0, 0.0, 0.0, 2.0, 0.0, 2.0, 0.0, 0.0, 2.0])

@@ -17,9 +17,9 @@ from hil.data.filters import filter_columns, prepare
 from hil.dynamics import RobotModel
 from hil.dynamics.inertial import is_consistent
 from hil.estimators import estimator, load_model_file
-from hil.estimators.consistent import InertialBounds
 from hil.estimators.friction_library import LOADED
 from hil.estimators.friction_memory import carried_step, dahl_states
+from hil.estimators.inertial_bounds import InertialBounds
 from hil.estimators.payload import _filtered
 from hil.estimators.rigid_hysteresis import BANDWIDTHS, MOTION_HZ, RigidHysteresis, filters_for
 from tests.support.dynamics_arms import urdf, written

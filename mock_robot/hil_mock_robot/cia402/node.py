@@ -27,7 +27,15 @@ import canopen
 from canopen import nmt
 from canopen.network import Network
 
-from hil_mock_robot.cia402 import keys, sdo
+from hil_mock_robot.cia402 import access_rules, keys
+from hil_mock_robot.cia402.access_rules import (
+    CAN_ID,
+    CONSUMERS,
+    DEVICE_STATE,
+    cob_id_is_valid,
+    require,
+    watched,
+)
 from hil_mock_robot.cia402.bus import Send
 from hil_mock_robot.cia402.dictionary import (
     HISTORY,
@@ -39,15 +47,7 @@ from hil_mock_robot.cia402.dictionary import (
 )
 from hil_mock_robot.cia402.keys import Registers, key
 from hil_mock_robot.cia402.pdo import TIMED_OUT, TOO_LONG, TOO_SHORT, Exchange
-from hil_mock_robot.cia402.sdo import (
-    CAN_ID,
-    CONSUMERS,
-    DEVICE_STATE,
-    SdoServer,
-    cob_id_is_valid,
-    require,
-    watched,
-)
+from hil_mock_robot.cia402.sdo import SdoServer
 
 HEARTBEAT = 0x700
 HEARTBEAT_LOST, BUS_OFF = 0x8130, 0x8140
@@ -187,19 +187,21 @@ class MockNode(canopen.LocalNode):
 
     def get_data(self, index: int, subindex: int, check_readable: bool = False) -> bytes:
         """An object's data; the SDO server's way in."""
-        entry = sdo.entry_of(index, subindex)
+        entry = access_rules.entry_of(index, subindex)
         if entry.type == "domain":
             self._eds = self._eds or eds_of(self.object_dictionary)
             return self._eds
-        return sdo.read_object(self.registers, entry, by_client=check_readable)
+        return access_rules.read_object(self.registers, entry, by_client=check_readable)
 
     def set_data(
         self, index: int, subindex: int, data: bytes, check_writable: bool = False
     ) -> None:
         """Write an object; the SDO server's way in."""
-        entry = sdo.entry_of(index, subindex)
-        layout = sdo.is_pdo_object(index)
-        value = sdo.decoded_value(self.registers, entry, bytes(data), by_client=check_writable)
+        entry = access_rules.entry_of(index, subindex)
+        layout = access_rules.is_pdo_object(index)
+        value = access_rules.decoded_value(
+            self.registers, entry, bytes(data), by_client=check_writable
+        )
         require(not layout or self._nmt.code is not NmtState.OPERATIONAL, DEVICE_STATE)
         self.registers[entry.key] = value
         self._follow(entry, value)
@@ -207,9 +209,9 @@ class MockNode(canopen.LocalNode):
 
     def _follow(self, entry: Object, value: int) -> None:
         """Act on a write that concerns the node itself."""
-        if sdo.is_pdo_object(entry.index):
+        if access_rules.is_pdo_object(entry.index):
             self._exchange.configure()
-        elif entry.index == sdo.CONSUMERS:
+        elif entry.index == access_rules.CONSUMERS:
             self._consumer.configure()
         elif entry.key == keys.PRODUCER_HEARTBEAT:
             self._producer.restart(self._now_s)
@@ -269,7 +271,7 @@ class MockNode(canopen.LocalNode):
             self._nmt.enter(reaction)
 
     def _send_emergency(self, message: bytes) -> None:
-        cob_id = self.registers[key(sdo.EMERGENCY_COB_ID)]
+        cob_id = self.registers[key(access_rules.EMERGENCY_COB_ID)]
         if self._nmt.code in TALKING and cob_id_is_valid(cob_id):
             self._send(cob_id & CAN_ID, message)
 

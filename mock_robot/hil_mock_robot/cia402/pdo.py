@@ -10,7 +10,17 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from hil_mock_robot.cia402 import keys, sdo
+from hil_mock_robot.cia402 import keys
+from hil_mock_robot.cia402.access_rules import (
+    CAN_ID,
+    COB_ID,
+    DUMMIES,
+    EVENT_TIMER,
+    INHIBIT,
+    TRANSMISSION,
+    cob_id_is_valid,
+    mapped,
+)
 from hil_mock_robot.cia402.bus import Send
 from hil_mock_robot.cia402.dictionary import (
     CODES,
@@ -22,7 +32,6 @@ from hil_mock_robot.cia402.dictionary import (
     by_key,
 )
 from hil_mock_robot.cia402.keys import Registers, key
-from hil_mock_robot.cia402.sdo import COB_ID, DUMMIES, EVENT_TIMER, INHIBIT, TRANSMISSION, mapped
 
 TOO_SHORT, TOO_LONG, TIMED_OUT = 0x8210, 0x8220, 0x8250
 """Error codes of RPDOs."""
@@ -208,7 +217,7 @@ class Rpdo:
 def _cob_id(registers: Registers, index: int, layout: Layout) -> int:
     """Identifier of a PDO that exists and carries something."""
     cob_id = registers[key(index, COB_ID)]
-    return cob_id & sdo.CAN_ID if sdo.cob_id_is_valid(cob_id) and layout.keys else -1
+    return cob_id & CAN_ID if cob_id_is_valid(cob_id) and layout.keys else -1
 
 
 class Tpdo:

@@ -16,6 +16,7 @@ import numpy as np
 
 from hil.arms import Payload
 from hil_mock_robot.cia402 import keys
+from hil_mock_robot.cia402.access_rules import COB_ID
 from hil_mock_robot.cia402.axis import Joint, joints_of
 from hil_mock_robot.cia402.body import STEP_S, Body
 from hil_mock_robot.cia402.bus import Line, Send
@@ -24,7 +25,6 @@ from hil_mock_robot.cia402.drive import Drive
 from hil_mock_robot.cia402.keys import Registers, key
 from hil_mock_robot.cia402.node import RESET_NODE, Hooks, MockNode, NmtState
 from hil_mock_robot.cia402.power import State
-from hil_mock_robot.cia402.sdo import COB_ID
 
 SYNC = 0x080
 DEFAULT_PERIOD_S = 0.004

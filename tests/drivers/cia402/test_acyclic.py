@@ -162,15 +162,14 @@ def test_each_pdo_is_off_while_it_is_laid_out():
 
 
 def test_an_object_that_no_pdo_takes_is_named_with_pdo_and_way_out(monkeypatch):
-    from hil_mock_robot.cia402 import sdo
-    from hil_mock_robot.cia402.sdo import NOT_MAPPABLE, Abort
+    from hil_mock_robot.cia402.access_rules import NOT_MAPPABLE, Abort, is_pdo_object
 
     with drives() as line:
         line.master.preoperational()
         node, set_data = line.nodes[1], line.nodes[1].set_data
 
         def refusing(index, sub, data, check_writable=False):
-            if sdo.is_pdo_object(index) and data[2:] == b"\xb2\x60":
+            if is_pdo_object(index) and data[2:] == b"\xb2\x60":
                 raise Abort(NOT_MAPPABLE)
             set_data(index, sub, data, check_writable)
 
@@ -224,7 +223,7 @@ def test_pdos_of_a_former_mapping_are_silent():
 
 
 def test_a_drive_with_fewer_pdos_than_four_will_do(monkeypatch):
-    from hil_mock_robot.cia402.sdo import NO_OBJECT, Abort
+    from hil_mock_robot.cia402.access_rules import NO_OBJECT, Abort
 
     with drives(1) as line:
         line.master.preoperational()
@@ -242,7 +241,7 @@ def test_a_drive_with_fewer_pdos_than_four_will_do(monkeypatch):
 
 
 def test_a_drive_whose_mapping_is_fixed_will_do_if_it_is_the_wanted_one(monkeypatch):
-    from hil_mock_robot.cia402.sdo import READ_ONLY, Abort
+    from hil_mock_robot.cia402.access_rules import READ_ONLY, Abort
 
     with drives(1) as line:
         line.master.preoperational()

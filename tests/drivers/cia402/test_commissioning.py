@@ -12,8 +12,8 @@ from hil.core.errors import CommandRefused, RobotConnectionError
 from hil_drivers.cia402.commissioning import configured, inspected, out_of_range
 from hil_drivers.cia402.options import options_of
 from hil_drivers.cia402.profile import AxisProfile
+from hil_mock_robot.cia402.access_rules import DEVICE_STATE, NO_OBJECT, Abort
 from hil_mock_robot.cia402.keys import key
-from hil_mock_robot.cia402.sdo import DEVICE_STATE, NO_OBJECT, Abort
 from tests.support.cia402_drives import ARM, drives
 
 GEAR, POLARITY, QUICK_STOP = key(0x6091, 1), key(0x607E), key(0x6085)
