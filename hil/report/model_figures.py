@@ -17,7 +17,7 @@ from hil.networks import Curves
 from hil.report import colours
 from hil.report.curves import binned, decimated, span, thinned
 from hil.report.documents import as_object
-from hil.report.figures import DEGREES, figure
+from hil.report.figure_list import DEGREES, figure
 from hil.report.fit_facts import FitFacts
 from hil.report.predictions import (
     DwellPredictions,

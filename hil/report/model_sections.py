@@ -14,7 +14,7 @@ import numpy as np
 
 from hil.core import FloatArray
 from hil.report.documents import Document, as_float, as_object, as_objects
-from hil.report.figures import figures_of
+from hil.report.figure_list import figures_of
 from hil.report.fit_facts import FitFacts, best_first
 from hil.report.model_figures import ModelView
 from hil.report.page import Block, Cell, Column, Facts, Section, Table, cells, items

@@ -16,7 +16,7 @@ from typing import Literal, TypeAlias, get_args
 
 from hil.core import AnyPath, DataError, RecordingError, SpecError, path_of, write_replacing
 from hil.report.matplotlib_figure import drawn
-from hil.report.plotly_figure import Placed, figures_of
+from hil.report.plotly_figure import Placed, placed_figures
 from hil.report.study_sections import columns_of, distinct_titles, is_numeric
 from hil.studies import Figure, Part, StudyResult, Table, Value, read_study, study_files
 
@@ -107,7 +107,7 @@ def _page_plots(run: Path, told: bool) -> list[tuple[str, Placed]]:
         if told:
             return []
         raise DataError(f"{run} has no report yet", hint=f"make it first: hil report {run}")
-    plots = [each for each in figures_of(page) if run.is_file() or not _is_of_study(each)]
+    plots = [each for each in placed_figures(page) if run.is_file() or not _is_of_study(each)]
     stems = _unique([_stem(each) for each in plots])
     return list(zip(stems, plots, strict=True))
 

@@ -1,6 +1,6 @@
 """Figures as plotly.js has them: written into pages, and read back from pages.
 
-`plotly_of` turns a panel into the document that stands beside it in the page, and `figures_of`
+`plotly_of` turns a panel into the document that stands beside it in the page, and `placed_figures`
 reads all figures of a page again: `hil figures` draws them for papers from the page alone, also
 from one whose recordings are gone, and from pages of every earlier version of hil.
 """
@@ -225,7 +225,7 @@ class Placed:
     figure: Figure
 
 
-def figures_of(page: Path) -> list[Placed]:
+def placed_figures(page: Path) -> list[Placed]:
     """Return all figures of a page.
 
     Raises:

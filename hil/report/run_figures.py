@@ -15,7 +15,7 @@ from hil.report import colours
 from hil.report.curves import Shown as Summary
 from hil.report.curves import decimated, in_parts, span, summarised, thinned
 from hil.report.documents import as_index
-from hil.report.figures import DEGREES, figure
+from hil.report.figure_list import DEGREES, figure
 from hil.report.run_facts import RunFacts
 from hil.report.run_recording import Recording, ReferenceDrift, intervals
 from hil.report.words import joint_title, number

@@ -21,7 +21,7 @@ from hil.data import Dataset
 from hil.importers import robot_of_run
 from hil.recording import RunDirectory
 from hil.report.documents import Document, as_float, as_index, as_object, as_objects
-from hil.report.figures import figures_of
+from hil.report.figure_list import figures_of
 from hil.report.fit_facts import FitFacts, best_first, read_fits
 from hil.report.model_sections import model_sections
 from hil.report.next_step import next_command

@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 
 from hil.core.typing import FloatArray
 from hil.data import Conditions
-from hil.report import colours, figures, model_figures, run_figures
+from hil.report import colours, figure_list, model_figures, run_figures
 from hil.report.colours import PALETTE
 from hil.report.curves import binned, decimated, extremes, has_names, summarised, thinned
-from hil.report.figures import FIGURES, figures_of
+from hil.report.figure_list import FIGURES, figures_of
 from hil.report.matplotlib_figure import THEME, drawn, following_the_screen
 from hil.report.model_figures import ModelView
 from hil.report.plotly_figure import figure_json, panel_of, plotly_of
@@ -79,7 +79,7 @@ def test_names_along_x_are_not_taken_for_numbers(x, named):
 def test_a_figure_is_added_by_one_registered_function(monkeypatch):
     monkeypatch.setitem(FIGURES, "model", list(FIGURES["model"]))
 
-    @figures.figure("model")
+    @figure_list.figure("model")
     def nothing_new(view):
         return Figure("new", "Something new", "", ())
 

@@ -27,7 +27,7 @@ from hil.report.drift_page import Along
 from hil.report.matplotlib_figure import drawn
 from hil.report.page import Badge, Page, Section, write_page
 from hil.report.paper import csv_text, figures, items, latex_text
-from hil.report.plotly_figure import figure_json, figures_of, panel_of, plotly_of
+from hil.report.plotly_figure import figure_json, panel_of, placed_figures, plotly_of
 from hil.studies.figure import Curve, Figure, Look, Panel
 from hil.studies.result import Part, StudyResult, Table
 from hil.studies.store import write_study
@@ -211,12 +211,12 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def read(page: Path, name: str) -> Figure:
-    every = figures_of(page)[0].figure
+    every = placed_figures(page)[0].figure
     return replace(every, panels=tuple(p for p in every.panels if p.title == name))
 
 
 def test_a_page_gives_back_what_it_was_made_of(page: Path) -> None:
-    every, *wide = (placed.figure for placed in figures_of(page))
+    every, *wide = (placed.figure for placed in placed_figures(page))
     assert [panel.title for panel in every.panels] == list(KINDS)
     assert [each.title for each in wide] == ["Heat, limit", "Error"]
     joints = next(panel for panel in every.panels if panel.title == "joints")
@@ -314,7 +314,7 @@ def test_what_is_no_page_of_hil_is_told(text: str, told: str, tmp_path: Path) ->
     file = tmp_path / "page.html"
     file.write_text(text, "utf-8")
     with pytest.raises(DataError, match=told):
-        figures_of(file)
+        placed_figures(file)
 
 
 @pytest.mark.thorough
@@ -366,7 +366,7 @@ def test_a_damaged_figure_is_drawn_or_told_with_its_page_and_title(
         text = f'<h3>a</h3><figcaption>{name}</figcaption><script type="application/json">'
         file.write_text(f"{text}{json.dumps(damaged)}</script>", "utf-8")
         try:
-            drawn(figures_of(file)[0].figure, "svg")
+            drawn(placed_figures(file)[0].figure, "svg")
         except DataError as error:
             told.append(error.message)
     assert len(told) >= 8
