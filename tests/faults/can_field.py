@@ -33,7 +33,7 @@ SETTLED_WITHIN_S = 5.0
 
 def run_field(case: Case, folder: Path) -> Field:
     """Run a case, in folders of `folder`."""
-    return until_struck(partial(_run_once, case), folder)
+    return until_struck(partial(_run_once, case), folder, case.ending.stop_within_s)
 
 
 def _run_once(case: Case, folder: Path) -> Field:

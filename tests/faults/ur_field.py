@@ -31,7 +31,7 @@ CONTROLLER_STOPS = ("protective_stop", "emergency_stop", "watchdog", "power_cut"
 
 def run_field(case: Case, folder: Path) -> Field:
     """Run a case, in folders of `folder`."""
-    return until_struck(partial(_run_once, case), folder)
+    return until_struck(partial(_run_once, case), folder, case.stop_within_s)
 
 
 def _run_once(case: Case, folder: Path) -> Field:
