@@ -18,9 +18,10 @@ APART_M, APART_RAD = 0.01, 0.05
 def may_be(name: str, robot: RobotModel) -> bool:
     """Whether data of the robot `name` may be of `robot`.
 
-    Two built-in arms are compared by name. A path says nothing: a URDF or a description of an arm
-    is compared with another robot by the distance and the angle between each joint's axis and the
-    next one's. A file that cannot be read here and an unknown name may be any robot.
+    Two built-in arms are compared by name. A path says nothing: a description of an arm is compared
+    with another one, or with a built-in arm, by its DH parameters; a URDF with any robot by the
+    distance and the angle between each joint's axis and the next one's. A file that cannot be read
+    here and an unknown name may be any robot.
 
     Args:
         name: Built-in arm, path of a URDF or a description, or nothing.
@@ -29,19 +30,27 @@ def may_be(name: str, robot: RobotModel) -> bool:
     given, own = name.removesuffix(MOTOR_SIDE), robot.name.removesuffix(MOTOR_SIDE)
     if not given or given == own:
         return True
-    other = _axes_of(given)
+    other = _geometry_of(given)
     if other is None:
         return True
-    by_name = robot.arm is not None and not _is_file(own) and not _is_file(given)
-    return not by_name and _alike(other, _axes(robot))
+    axes, dh = other
+    if robot.arm is None or dh is None:
+        return _alike(axes, _axes(robot))
+    told_by_name = not _is_file(own) and not _is_file(given)
+    return not told_by_name and _alike(_lengths_and_angles(dh), _lengths_and_angles(robot.arm.dh))
 
 
 @lru_cache(maxsize=32)
-def _axes_of(name: str) -> tuple[FloatArray, FloatArray] | None:
+def _geometry_of(name: str) -> tuple[tuple[FloatArray, FloatArray], FloatArray | None] | None:
     try:
-        return _axes(load_model(name))
+        robot = load_model(name)
     except (SpecError, DataError, OSError):
         return None
+    return _axes(robot), None if robot.arm is None else robot.arm.dh
+
+
+def _lengths_and_angles(dh: FloatArray) -> tuple[FloatArray, FloatArray]:
+    return dh[:, [0, 2]], dh[:, [1, 3]]
 
 
 def _axes(robot: RobotModel) -> tuple[FloatArray, FloatArray]:

@@ -130,7 +130,7 @@ def _mass_from_torque(robot: RobotModel, reach: float) -> float:
     limited = np.isfinite(robot.effort_max) & (robot.effort_max > 0)
     if not limited.any():
         return MOST_KG
-    arm_m = np.where(robot.joint_geometry().turns, reach, 1.0)  # a sliding joint holds by force
+    arm_m = np.where(robot.joint_geometry().turns, reach, 1.0)  # a sliding joint's limit is a force
     return float(min(2.0 * (robot.effort_max / (9.81 * arm_m))[limited].max(), MOST_KG))
 
 

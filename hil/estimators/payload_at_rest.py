@@ -340,8 +340,8 @@ class RestProblem:
         friction, uncancelled = _friction(model, readings), 1.0
         if first is not None:
             found = found - (first.effort * K - _torque_at_rest(model, first.q, Payload()))
-            # From one side friction cancels as well, if it was the same side. Where the side is
-            # unknown, it may have been the other: then both readings keep their friction.
+            # Friction cancels if both runs came from the same side. If the side is unknown, they
+            # may not have: both readings keep theirs.
             errors, one_sided, uncancelled = TARED, readings.side_unknown, np.sqrt(2.0)
             change = np.nan_to_num(readings.half - first.half) * K
         else:

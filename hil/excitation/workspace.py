@@ -62,7 +62,7 @@ class Distances(Protocol):
 
     @property
     def names(self) -> Sequence[tuple[str, str]]:
-        """(R,) between which two things; the point at the flange and the face of a space."""
+        """(R,) the two things of each distance: two bodies, or a point at the flange and a face."""
 
     @property
     def reach(self) -> FloatArray:

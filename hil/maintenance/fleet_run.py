@@ -279,7 +279,7 @@ GONE_S = 10.0
 """A worker that has replied must exit within this time [s], else it is terminated."""
 
 SIGNAL_S = 0.5
-"""Longest wait without a look at signals [s]: one that comes just before a wait does not end it."""
+"""Longest single wait [s]: a signal that arrives just before a wait does not end it."""
 
 
 def _wait_until_gone(process: BaseProcess) -> None:

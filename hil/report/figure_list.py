@@ -35,9 +35,8 @@ def figure(subject: Subject) -> Callable[[Maker], Maker]:
     """Register a function that makes a figure.
 
     Args:
-        subject: `excitation` and `recording` are given a `RunView`, `model` a
-            `ModelView`, and
-            `models` all models of the page (`Sequence[FitFacts]`).
+        subject: `excitation` and `recording` are given a `RunView`, `model` a `ModelView`,
+            and `models` all models of the page (`Sequence[FitFacts]`).
     """
 
     def register(make: Maker) -> Maker:

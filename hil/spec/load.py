@@ -103,7 +103,7 @@ def _checked(source: Source, folder: FilePath, look_up: bool) -> ExperimentSpec:
 def _with_overrides(
     message: str, as_written: Source, folder: FilePath, overrides: Mapping[str, str], look_up: bool
 ) -> str:
-    """Return the lines of an error; those the file as written does not have name the overrides."""
+    """Return an error's lines; those that the unchanged file does not cause name the overrides."""
     before: set[str] = set()
     try:
         _checked(as_written, folder, look_up)
@@ -158,7 +158,7 @@ def load_station(path: str | FilePath, *, look_up: bool = True) -> Station:
 
 
 def _make_models_absolute(source: Source, folder: FilePath) -> None:
-    """Make the robot models of a station absolute that are paths."""
+    """Make those robot models of a station absolute that are paths."""
     robots = source.at(("robots",))
     for robot in robots.values() if isinstance(robots, dict) else ():
         model = robot.get("model") if isinstance(robot, dict) else None

@@ -1,6 +1,6 @@
 """Look up what an experiment or a station names outside itself.
 
-That are estimators, studies, interlocks, drivers, arms and files. The checks read the parsed data
+These are estimators, studies, interlocks, drivers, arms and files. The checks read the parsed data
 and not the validated model, so that their findings come in the same report as everything else that
 is wrong with the file.
 """

@@ -23,7 +23,7 @@ from hil.planning.plan import Plan
 from hil.planning.robots import open_robot, plan_for
 from hil.recording.mcap_reader import read_topic
 from hil.recording.run_directory import RunDirectory
-from tests.faults.field import HOST, REST_RAD_S, TRIES, is_late
+from tests.faults.field import HOST, REST_RAD_S, TRIES, is_doubtful
 
 ENDS_WITHIN_S = 90.0
 COUNTED = ("gaps", "missing", "duplicates")
@@ -76,14 +76,14 @@ def until_struck(
 ) -> Field:
     """Run a case in a folder of `folder` of its own.
 
-    It runs again if it ended before the fault, or if the arm stopped late: a computer that is too
-    busy is late for the arm, which is then stopped by another fault, and late to stop it.
+    It runs again if it ended before the fault, as the arm of a computer that is too busy does by
+    another fault, or if the arm of a busy computer stopped late.
     """
     for attempt in range(TRIES):
         own = folder / str(attempt)
         own.mkdir()
         field = run_once(own)
-        if field.struck and not is_late(field.stop_s, stop_within_s):
+        if field.struck and not is_doubtful(field.stop_s, stop_within_s):
             break
     return field
 

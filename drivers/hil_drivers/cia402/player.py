@@ -2,8 +2,9 @@
 
 Everything a cycle needs is computed before the motion begins (`track`). In the cycle the player
 takes the next row, brakes on the rest of the way when it is stopped, and holds where the motion
-ended. A stop slows time down along the path, so all joints stay on it; of the torque, what moves
-the arm falls with the square of the pace, what holds it stays.
+ended. A stop slows time down along the path, so all joints stay on it. The dynamic part of the
+feed-forward torque falls with the square of the pace, the gravity torque stays; the torque of the
+deceleration itself is left to the position loop.
 
 In CSP the drives get positions, with a torque offset if wanted. In CSV and CST the master closes
 the position loop (`gains`) with set-points that are `BEHIND` cycles old.
@@ -29,7 +30,7 @@ BEHIND = LATENCY + 1
 """
 
 LONGEST_STOP_S = 5.0
-"""A gentler deceleration than this takes is not waited for: the arm brakes harder."""
+"""Longest stop [s]; an arm that would need longer brakes harder."""
 MOVING, HOLDING = int(Status.MOVING), int(Status.HOLDING)
 
 

@@ -1,7 +1,7 @@
 """A segment as the drives take it: checked, in their integers, one row per cycle.
 
 If the segment begins a little beside the held set-point, because a brake gave or a spring left the
-arm there, the track first goes to its begin, in `REACHED_S` or longer.
+arm there, the track first moves to the segment's start, in at least `REACHED_S`.
 """
 
 from __future__ import annotations
@@ -71,8 +71,7 @@ class Track:
 
 
 BEGINS_WITHIN_RAD = 1e-4
-"""Drives follow set-points without smoothing them: a segment may begin this far from the held one.
-"""
+"""Largest distance from the held set-point to a segment's first row; drives do not smooth it."""
 
 GIVEN_RAD = 2e-3
 """A brake may give when its axis is switched on, after the plan was made. Before the first motion
@@ -82,7 +81,7 @@ LED_RAD = 0.05
 """Led by a spring (CST, CSV), an arm rests beside its set-point, where friction keeps it."""
 
 REACHED_S = 0.4
-"""Least time in which a track goes to the begin of its segment."""
+"""Least duration of the way to the segment's start [s]."""
 
 
 def track_of(

@@ -2,9 +2,10 @@
 
 They are CiA 301's: existence, access, length, range, device state, COB-IDs, and the order in which
 a PDO is laid out. That order is: invalidate the PDO (bit 31 of its COB-ID), set the number of
-mapped objects to 0, write them, set their number, make the PDO valid again. The mapping and inhibit
-time of a valid PDO are refused with 0800 0022h. `MockNode` refuses all PDO objects in the NMT state
-operational, as many drives do.
+mapped objects to 0, write them, set their number, make the PDO valid again. Writes to the mapping
+or inhibit time of a valid PDO are refused with 0800 0022h, as are writes of a mapping entry while
+the number is not 0. `MockNode` refuses all PDO objects in the NMT state operational, as many drives
+do.
 """
 
 from __future__ import annotations
