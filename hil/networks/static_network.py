@@ -188,10 +188,13 @@ class StaticMlpLm(StaticModel):
 
         Raises:
             DataError: The data are of another robot or unit, or lack an input.
-            FitError: A load is mounted, and the fit knew no drive gains.
+            FitError: A load is mounted, and the fit knew no drive gains; or the model has another
+                number of inputs than its layers.
         """
         base = super().predict(dataset)
-        friction = self.networks_.predict(network_inputs(dataset, self.inputs))
+        X = network_inputs(dataset, self.inputs)
+        require_layout(X, self._mlp.inputs, self.inputs)
+        friction = self.networks_.predict(X)
         effort = base.effort + friction
         valid = base.valid & np.isfinite(effort)
         return Prediction(effort, base.std, valid, {**base.components, FRICTION: friction})
@@ -251,7 +254,9 @@ class StaticMlpLm(StaticModel):
     def _parts_and_friction(
         self, q: FloatArray, qd: FloatArray, qdd: FloatArray
     ) -> dict[str, FloatArray]:
-        friction = self.networks_.predict(position_inputs(q, self.inputs))
+        X = position_inputs(q, self.inputs)
+        require_layout(X, self._mlp.inputs, self.inputs)
+        friction = self.networks_.predict(X)
         return self._parts(q, qd, qdd) | {FRICTION: friction}
 
     def _settings(self) -> dict[str, Any]:

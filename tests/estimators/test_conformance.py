@@ -397,10 +397,11 @@ def test_a_document_that_lacks_a_parameter_is_refused_or_read(case: str) -> None
 @each_estimator
 def test_a_document_with_a_list_cut_short_is_refused_or_read(case: str) -> None:
     document = json.loads(stored(case)[0])
-    for key, value in document["fitted"].items():
-        if isinstance(value, list) and len(value) > 1:
-            cut = document["fitted"] | {key: value[:-1]}
-            outcome(case, json.dumps(document | {"fitted": cut}).encode(), stored(case)[1])
+    for section in ("fitted", "parameters"):
+        for key, value in document[section].items():
+            if isinstance(value, list) and len(value) > 1:
+                cut = document[section] | {key: value[:-1]}
+                outcome(case, json.dumps(document | {section: cut}).encode(), stored(case)[1])
 
 
 @pytest.mark.thorough
