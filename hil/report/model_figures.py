@@ -59,12 +59,12 @@ def error_per_joint(fits: Sequence[FitFacts]) -> Figure:
     if np.isfinite(fast).any():
         name = f"measured signal: {fits[0].fast_part}"
         curves.append(Curve(name, joints, fast, "ticks", look=Look(colours.LIMIT, symbol=_TICK)))
-    said = "; ".join(
+    alt = "; ".join(
         f"{label}: {', '.join(f'J{j + 1} {number(v)}' for j, v in enumerate(values))} {unit}"
         for label, values in errors.items()
     )
     axes = ("joint", f"RMSE [{unit}]")
-    panel = Panel("RMSE raw on held-out data", *axes, tuple(curves), alt=said, wide=True)
+    panel = Panel("RMSE raw on held-out data", *axes, tuple(curves), alt=alt, wide=True)
     return Figure("errors", "Error per joint", "", (panel,), 1)
 
 
@@ -73,7 +73,7 @@ _TICK = "line-ew-open"
 
 @figure("model")
 def dwells_compared(view: ModelView) -> Figure | None:
-    """Dwells in the order of the prediction; both approaches told apart."""
+    """Return dwells in the order of the prediction, each approach in its own colour."""
     if (dwells := view.shown.dwells) is None:
         return None
 
@@ -150,7 +150,7 @@ AT_REST, IN_MOTION = "Held-out dwells: friction at rest", "Friction over velocit
 
 
 def friction_at_rest_curves(seen: FrictionAtRest, j: int) -> tuple[Curve, ...]:
-    """Friction of one joint at rest over its angle, both directions told apart."""
+    """Return friction of one joint at rest over its angle, one curve per direction."""
     angle, curves = seen.q[:, j] * DEGREES, []
     for sign, name, colour, symbol in SIDES:
         rows = np.flatnonzero((seen.approach == sign) & np.isfinite(seen.measured[:, j]))
@@ -169,15 +169,15 @@ def friction_at_rest_curves(seen: FrictionAtRest, j: int) -> tuple[Curve, ...]:
 
 def _mean_sides(seen: FrictionAtRest, j: int, unit: str) -> str:
     """Mean friction of one joint at rest from either side, of dwells the model holds for."""
-    told = []
+    sides = []
     for sign, name, _, _ in SIDES:
         rows = (seen.approach == sign) & np.isfinite(seen.measured[:, j])
         if rows.any():
             text = f"{name} {number(float(seen.measured[rows, j].mean()))} {unit}"
             if seen.predicted is not None:
                 text += f" (model {number(float(seen.predicted[rows, j].mean()))})"
-            told.append(text)
-    return f"mean {', '.join(told) or 'unknown'}"
+            sides.append(text)
+    return f"mean {', '.join(sides) or 'unknown'}"
 
 
 @figure("model")
@@ -314,17 +314,17 @@ def _ends(seen: FrictionInMotion, drawn: Curve, j: int, unit: str) -> str:
 
 def _how_to_read(seen: FrictionInMotion) -> str:
     """What points and line of friction over velocity are."""
-    told = (
+    lead = (
         "Points are the measured effort of the held-out trajectories less what the model takes "
         "for gravity, inertia and load: friction, and what the model errs by. "
     )
     if seen.learned:
-        told += (
+        lead += (
             "What the model's network adds to its physics counts as friction on both sides, though "
             "it may be something else that the physics misses. "
         )
     if seen.curve is None:
-        return told + (
+        return lead + (
             "The line is the mean of the model's friction at each velocity over these "
             "trajectories, the dotted ones a standard deviation to either side."
         )
@@ -335,16 +335,16 @@ def _how_to_read(seen: FrictionInMotion) -> str:
         found.append("the middle of the step is the offset")
     if VISCOUS in terms:
         found.append("what lies beyond the dashed line is viscous friction")
-    told += (
+    lead += (
         "The line is the model's friction, no further than these trajectories go: "
         f"{'; '.join(found)}. "
     )
     if np.isfinite(seen.curve.std_error).all(axis=0).any():
-        return told + (
+        return lead + (
             "The standard errors of its parts are added up, as if all erred to the same side: the "
             "band is at most that wide."
         )
-    return told + "The model has no standard errors that hold of this line: no band is drawn."
+    return lead + "The model has no standard errors that hold of this line: no band is drawn."
 
 
 @figure("model")
@@ -397,9 +397,9 @@ def trajectory_regression(view: ModelView) -> Figure | None:
 @figure("model")
 def learning_curves(view: ModelView) -> Figure | None:
     """Loss and validation error over the epochs; None where nothing was trained."""
-    told = as_object(view.fit.model.get("fitted")).get("curves")
+    document = as_object(view.fit.model.get("fitted")).get("curves")
     try:
-        curves = Curves.from_dict(told) if isinstance(told, dict) else None
+        curves = Curves.from_dict(document) if isinstance(document, dict) else None
     except (KeyError, TypeError, ValueError, OverflowError):  # a damaged model file
         curves = None
     if curves is None or not len(curves):
@@ -418,7 +418,7 @@ def learning_curves(view: ModelView) -> Figure | None:
 
 
 def learning_panel(curves: Curves, alt: str = "") -> Panel:
-    """Loss and validation error over the epochs on a logarithmic scale, stages told apart."""
+    """Return loss and validation error over the epochs, logarithmic, with marks between stages."""
     epoch = np.arange(1.0, len(curves) + 1)
     validation = np.array([curves.untrained, *curves.validation])
     kept = Look(colours.PREDICTED, symbol="diamond", size=9, opacity=1.0)

@@ -154,9 +154,9 @@ def _check_values(source: Source, path: KeyPath, plugin: Any, given: dict[str, A
     try:
         plugin(**given)
     except Exception as error:
-        told = _first_line(error)
-        culprit = next((key for key in given if re.match(rf"{re.escape(key)}\b", told)), None)
-        source.add((*path, culprit) if culprit else path, told)
+        line = _first_line(error)
+        culprit = next((key for key in given if re.match(rf"{re.escape(key)}\b", line)), None)
+        source.add((*path, culprit) if culprit else path, line)
 
 
 def _first_line(error: Exception) -> str:

@@ -29,12 +29,12 @@ def lay_over(source: Source, overrides: Mapping[str, str]) -> None:
     _require_apart(list(overrides))
     for number, (dotted_key, text) in enumerate(overrides.items(), 1):
         name = f"--set {number}"
-        told = f"{name}: {shown(dotted_key)}"
-        value = parse(text, told) if text.strip() else Source(told)
+        option = f"{name}: {shown(dotted_key)}"
+        value = parse(text, option) if text.strip() else Source(option)
         source.problems += value.problems
         path = _path_in(source.data, dotted_key)
         if why := "a step of it is empty" if "" in path else _set(source.data, path, value.data):
-            message = f"{told}: there is no such place in {source.name}: {why}"
+            message = f"{option}: there is no such place in {source.name}: {why}"
             raise SpecError(message, hint="a path is dotted, such as loads.0.mass_kg")
         source.replaced(path, name)
 
@@ -120,7 +120,7 @@ def resolved_text(path: FilePath, overrides: Mapping[str, str]) -> str:
     """
     source = read_source(path)
     lay_over(source, overrides)
-    said = "".join(
+    lines = "".join(
         f"#   --set {shown(key, 300)}={shown(text, 300)}\n" for key, text in overrides.items()
     )
-    return f"# {path.name}, with\n{said}{yaml_text(source.data)}"
+    return f"# {path.name}, with\n{lines}{yaml_text(source.data)}"

@@ -100,6 +100,13 @@ def test_descriptions_of_an_arm_are_told_by_how_their_axes_lie(tmp_path: Path) -
         assert not may_be(name, described)
 
 
+def test_a_description_is_found_on_the_side_of_its_motors(tmp_path: Path) -> None:
+    own = tmp_path / "own.yaml"
+    own.write_text(Path(str(files("hil.arms") / "tx40.yaml")).read_text("utf-8"), "utf-8")
+    coupled = load_model(f"{own}@motors").joints_per_motor
+    assert coupled == pytest.approx(load_model("tx40@motors").joints_per_motor)
+
+
 def test_a_model_of_a_ur10e_is_not_judged_on_a_ur5(tmp_path: Path) -> None:
     ur5 = recorded(1, 1, 2)
     other = RigidWls().fit(replace(ur5, robot="ur10e"), load_model("ur10e"))

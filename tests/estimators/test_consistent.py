@@ -1,17 +1,18 @@
 """Least squares over robots that can exist: a known optimum, bounds that hold, clear messages."""
 
 import builtins
+from types import SimpleNamespace
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from scipy.optimize import minimize
 
-from hil.core.errors import PluginError
+from hil.core.errors import FitError, PluginError
 from hil.dynamics import RobotModel, base_parameters
 from hil.dynamics.inertial import from_pseudo_inertia, pseudo_inertia
 from hil.estimators.consistent import ReferenceCoordinates, consistent_least_squares
-from hil.estimators.inertial_bounds import InertialBounds
+from hil.estimators.inertial_bounds import InertialBounds, _mass_from_torque
 from tests.support.synthetic_motion import fourier, nominal, plant
 
 EYE = np.array([1.0, 0.0, 0.0, 0.0, 2.0, 0.0, 2.0, 0.0, 0.0, 2.0])
@@ -185,3 +186,21 @@ def test_a_missing_solver_is_named_with_the_extra_that_brings_it(
     with pytest.raises(PluginError, match="cvxpy") as caught:
         consistent_least_squares(*noisy, base=base, bounds=bounds)
     assert "hil[identify]" in caught.value.hint
+
+
+@pytest.mark.parametrize(("turns", "most_kg"), [(True, 200.0 / 9.81), (False, 600.0 / 9.81)])
+def test_links_without_nominal_masses_are_bounded_by_what_a_joint_holds(turns, most_kg) -> None:
+    robot = SimpleNamespace(
+        effort_max=np.array([300.0]), joint_geometry=lambda: SimpleNamespace(turns=[turns])
+    )
+    assert _mass_from_torque(robot, 3.0) == pytest.approx(most_kg)
+
+
+def test_a_solution_that_the_solver_did_not_finish_is_refused(bounds, monkeypatch) -> None:
+    import cvxpy
+
+    monkeypatch.setattr(cvxpy.Problem, "status", property(lambda self: "user_limit"))
+    base = base_parameters(nominal(), rotor=True)
+    X = np.eye(base.rank)
+    with pytest.raises(FitError, match="user_limit"):
+        consistent_least_squares(X, np.ones(base.rank), base=base, bounds=bounds)
