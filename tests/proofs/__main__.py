@@ -156,10 +156,10 @@ def figures_of(output: str) -> list[str]:
     return [line[:300] for line in told[-MOST_FIGURES:]]
 
 
-def summary_of(output: str, code: int) -> str:
-    """Return pytest's last line without its frame and times, or how a program ended."""
+def summary_of(unit: Unit, output: str, code: int) -> str:
+    """Return pytest's last line without its frame and times, or a program's exit code."""
     found = re.findall(r"(\d+ (?:passed|failed)[^=\n]*?) in [\d.]+s", output)
-    return found[-1] if found else f"exit code {code}"
+    return found[-1] if found and "pytest" in unit.run else f"exit code {code}"
 
 
 def revision() -> str:
@@ -213,7 +213,7 @@ def run_unit(unit: Unit, state: State) -> bool:
         except KeyboardInterrupt:
             end(process)
             raise
-    summary = summary_of(output, code)
+    summary = summary_of(unit, output, code)
     # What was skipped, for want of an extra, of data or of a quiet computer, has not been shown.
     words = f" {summary}"
     shown = code == 0 and (
