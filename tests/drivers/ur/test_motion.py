@@ -352,7 +352,7 @@ def test_a_stop_that_throws_is_made_directly(fake):
     process.connect()
     begin(process, move(2.0))
     time.sleep(0.1)
-    with contextlib.suppress(RobotConnectionError):
+    with contextlib.suppress(HilError):  # the process dies, or a busy computer is late
         process.stop()
     assert fake.desk.wait(30003, b"stopj(8.000)")
 
